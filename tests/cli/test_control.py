@@ -30,6 +30,7 @@ from robotctl.ipc.client import Client, call
 from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 from robotctl.kernel.modes import Mode
 from tests.cli.conftest import Cli, Spawn
+from tests.support.lines import line_of
 from tests.support.waiting import DEADLINE_S, until
 
 DRIVING = "robotctl.cli.targets.driving"
@@ -205,9 +206,8 @@ def test_a_second_ctrl_c_is_the_emergency_stop_and_a_closing_terminal_is_not(
     daemon_that_ramps_slowly: None, waiting: Spawn
 ) -> None:
     process = waiting()
-    assert process.stderr is not None
     process.send_signal(signal.SIGHUP)
-    assert "Ctrl-C again" in process.stderr.readline()
+    assert "Ctrl-C again" in line_of(process.stderr)
     until(lambda: mode() == "IDLE")
     process.send_signal(signal.SIGHUP)
     process.send_signal(signal.SIGTERM)

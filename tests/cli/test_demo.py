@@ -14,6 +14,7 @@ from robotctl.cli.ui import text
 from robotctl.ipc.client import call
 from robotctl.recording import read_info
 from tests.cli.conftest import Cli, Spawn
+from tests.support.lines import line_of
 
 
 def sockets(home: Path) -> list[str]:
@@ -90,8 +91,7 @@ def test_an_interruption_stops_the_daemon_and_leaves_a_readable_recording(
 ) -> None:
     monkeypatch.setenv("FAKE_ENDLESS", "1")
     process = spawn("demo")
-    assert process.stdout is not None
-    while "MOVING" not in process.stdout.readline():
+    while "MOVING" not in line_of(process.stdout):
         assert process.poll() is None
     process.send_signal(number)
     _, err = process.communicate(timeout=30)

@@ -21,6 +21,7 @@ from robotctl.cli.targets import launch
 from robotctl.daemon.lock import owned
 from robotctl.ipc.client import call
 from tests.cli.conftest import Cli, Spawn
+from tests.support.lines import line_of
 from tests.support.waiting import until
 
 
@@ -103,11 +104,9 @@ def test_a_start_that_crashes_leaves_the_log_of_a_running_daemon_in_place(
         log.parent.mkdir(parents=True, mode=0o700)
         log.write_text("of the daemon that runs\n")
         monkeypatch.setenv("FAKE_START", "crash")
-        ran = cli("start")
-    assert ran.exit_code == 1
+        failed = log.with_name("daemon.log.failed")
+        cli("start").failed(1, f"(see: {failed})")
     assert log.read_text() == "of the daemon that runs\n"
-    failed = log.with_name("daemon.log.failed")
-    assert f"(see: {failed})" in ran.err
     assert "a bug before READY" in failed.read_text()
     assert sorted(log.parent.iterdir()) == [log, failed]
 
@@ -148,8 +147,7 @@ def test_a_daemon_that_is_ready_but_was_not_told_of_ends_with_its_start(
 
 def test_foreground_becomes_the_daemon(spawn: Spawn) -> None:
     process = spawn("start", "--foreground", "--robot", "r2")
-    assert process.stdout is not None
-    assert "--ready-fd" not in process.stdout.readline()
+    assert "--ready-fd" not in line_of(process.stdout)
     assert call("r2", "status")["pid"] == process.pid
     call("r2", "stop")
     assert process.wait(30) == 0

@@ -152,19 +152,20 @@ def write_transforms(path: Path) -> None:
 
 def test_numbers_of_messages_in_a_list_are_named_and_drawn(cli: Cli) -> None:
     write_transforms(Path("tf.mcap"))
-    said = cli("plot", "tf.mcap", "/tf").err
-    assert "its numbers are places[0].x, places[0].points[0].y" in said
-    assert "choose one value: places[0].x" in cli("plot", "tf.mcap", "/tf", "places").err
-    assert "places[1].names is no number" in cli("plot", "tf.mcap", "/tf", "places[1].names").err
+    for fields, said in (
+        ((), "its numbers are places[0].x, places[0].points[0].y"),
+        (("places",), "choose one value: places[0].x"),
+        (("places[1].names",), "places[1].names is no number"),
+    ):
+        cli("plot", "tf.mcap", "/tf", *fields).failed(2, said)
     ran = cli("plot", "tf.mcap", "/tf", "places[1]", "places[0].points[1].y", "places[2].x")
-    assert ran.exit_code == 8
+    ran.failed(8, "places[2].x: 2 messages have a shorter list")
     named = [line.split("  ") for line in ran.out.splitlines() if "values" in line]
     assert [(words[-2].strip(), words[-1]) for words in named] == [
         ("places[1].x", "1.5 to 1.5, 1 values"),
         ("places[0].points[1].y", "4 to 4, 1 values"),
         ("places[2].x", "no values"),
     ]
-    assert "places[2].x: 2 messages have a shorter list" in ran.err
 
 
 def test_a_type_of_endless_lists_is_searched_for_a_moment_only(cli: Cli) -> None:

@@ -42,7 +42,7 @@ def test_of_many_checks_the_gravest_decides_the_exit_code(cli: Cli, written: lis
     Path("recordings/b").mkdir()
     Path("recordings/b/b_0.mcap").write_bytes(b"no recording")
     ran = cli("replay", "recordings", "--check", "--json")
-    assert ran.exit_code == 6
+    ran.failed(6)
     verdicts = [each["verdict"] for each in ran.summary["recordings"]]
     assert verdicts == ["same", "incomplete"]
     record(Path("recordings/c"), diverging(written))
@@ -55,11 +55,9 @@ def test_of_many_checks_the_gravest_decides_the_exit_code(cli: Cli, written: lis
 def test_a_divergence_is_told_with_what_led_to_it(cli: Cli, written: list[Written]) -> None:
     record(Path("run"), diverging(written))
     ran = cli("replay", "run", "--check")
-    assert ran.exit_code == 7
-    told = " ".join(ran.out.split())
-    assert "before MOVING, driving a square, command 0." in told
-    assert 'event Tick {"t_ns":' in told
-    assert "differs twist.angular: recorded 0.5, decided 0.0" in told
+    ran.failed(7, out="before MOVING, driving a square, command 0.")
+    ran.failed(7, out='event Tick {"t_ns":')
+    ran.failed(7, out="differs twist.angular: recorded 0.5, decided 0.0")
     assert max(map(len, ran.out.splitlines())) <= 80
     found = cli("replay", "run", "--check", "--json").summary["recordings"][0]["divergence"]
     assert found["mode"] == "MOVING"

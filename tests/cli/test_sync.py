@@ -23,6 +23,7 @@ from tests.cli.conftest import Cli
 from tests.support.stores import environment
 
 Answers = list[str | Exception]
+Say = Callable[..., Answers]
 
 NAME = "robot_20260101_120000"
 
@@ -39,10 +40,8 @@ def stored(store: Path, file: str) -> Path:
 
 def test_a_folder_takes_recordings_once(cli: Cli, own_recording: Path, tmp_path: Path) -> None:
     usb = tmp_path / "usb"
-    dry = cli("sync", str(usb), "--dry-run")
-    assert (dry.exit_code, usb.exists()) == (0, False)
-    assert "2 files" in dry.out
-    assert "would be copied" in dry.out
+    cli("sync", str(usb), "--dry-run").succeeded("2 files", "would be copied")
+    assert not usb.exists()
     assert "1 recordings are there; 2 files" in cli("sync", str(usb)).out
     again = cli("sync", str(usb), "--json")
     assert (again.exit_code, again.err) == (0, "")
@@ -55,11 +54,9 @@ def test_a_folder_takes_recordings_once(cli: Cli, own_recording: Path, tmp_path:
 def test_what_is_not_copied_is_exit_code_6(cli: Cli, own_recording: Path, tmp_path: Path) -> None:
     (own_recording / f"{NAME}_1.mcap").symlink_to("/dev/null")
     ran = cli("sync", str(tmp_path / "usb"))
-    assert ran.exit_code == 6
-    assert f"{NAME}: {NAME}_1.mcap is left out: it is a link" in " ".join(ran.out.split())
+    ran.failed(6, out=f"{NAME}: {NAME}_1.mcap is left out: it is a link")
     assert "0 recordings are there; 2 files" in ran.out
-    again = cli("sync", str(tmp_path / "usb"))
-    assert "nothing was copied now" in again.out
+    assert "nothing was copied now" in cli("sync", str(tmp_path / "usb")).out
 
 
 def test_what_comes_back_from_a_bucket_is_as_it_was_with_its_time(
@@ -113,9 +110,7 @@ def test_a_full_disk_is_told_with_exit_code_6_and_the_rest_follows_later(
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "fsync", full)
-        ran = cli("sync", str(tmp_path / "usb"))
-    assert ran.exit_code == 6
-    assert "No space left" in ran.out
+        cli("sync", str(tmp_path / "usb")).failed(6, out="No space left")
     assert not [path for path in (tmp_path / "usb").rglob("*") if path.is_file()]
     assert cli("sync", str(tmp_path / "usb")).exit_code == 0
 
@@ -166,7 +161,7 @@ def test_while_the_robot_moves_nothing_is_sent(
 
 
 @pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Answers]:
+def answers(monkeypatch: pytest.MonkeyPatch) -> Say:
     """Return a function that lets the daemon answer with these modes and errors."""
 
     def say(*said: str | Exception) -> Answers:
@@ -199,9 +194,7 @@ def test_the_end_of_a_run_ends_the_wait_of_another_thread() -> None:
     assert interrupted.wait(30)
 
 
-def test_a_daemon_that_does_not_tell_may_have_a_moving_robot(
-    answers: Callable[..., Answers],
-) -> None:
+def test_a_daemon_that_does_not_tell_may_have_a_moving_robot(answers: Say) -> None:
     left = answers(
         "IDLE", NoAnswer("silent"), Refused("busy"), "MOVING", NoAnswer("silent"), "IDLE"
     )
@@ -210,9 +203,7 @@ def test_a_daemon_that_does_not_tell_may_have_a_moving_robot(
     assert left == []
 
 
-def test_a_daemon_that_cannot_be_asked_at_all_is_told_at_once(
-    answers: Callable[..., Answers],
-) -> None:
+def test_a_daemon_that_cannot_be_asked_at_all_is_told_at_once(answers: Say) -> None:
     answers(Refused("the socket belongs to another user"))
     with pytest.raises(Refused, match="another user"), SyncPace(None, "robot"):
         pass

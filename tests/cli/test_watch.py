@@ -23,6 +23,7 @@ from robotctl.cli.ui.panels import History, drive_map, live_view
 from robotctl.ipc.answers import DrivenPath
 from robotctl.ipc.client import call
 from tests.cli.conftest import Cli, Spawn
+from tests.support.lines import line_of
 from tests.support.terminals import Terminal
 
 
@@ -30,14 +31,12 @@ def test_through_a_pipe_it_prints_rows_or_objects_and_ends_with_the_daemon(
     daemon: None, cli: Cli, spawn: Spawn
 ) -> None:
     rows, objects = spawn("watch"), spawn("watch", "--json")
-    assert rows.stdout is not None
-    assert objects.stdout is not None
-    assert rows.stdout.readline() == f"{watch.HEADER}\n"
+    assert line_of(rows.stdout) == f"{watch.HEADER}\n"
     for _ in range(2):
-        line = rows.stdout.readline()
+        line = line_of(rows.stdout)
         assert " ".join(line.split()[1:]) == "IDLE 0.500 -0.250 1.500 0.200 87% 20 0"
         assert "\x1b" not in line
-        assert json.loads(objects.stdout.readline())["mode"] == "IDLE"
+        assert json.loads(line_of(objects.stdout))["mode"] == "IDLE"
     assert cli("stop").exit_code == 0
     _, err = rows.communicate(timeout=30)
     assert rows.returncode == 3

@@ -157,8 +157,11 @@ def test_each_closed_file_and_the_closed_recording_are_indexed_beside_it(world: 
     assert not recording.exists()
 
 
+MakeIndexer = Callable[[str], Indexer]
+
+
 @pytest.fixture
-def indexed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Indexer]:
+def indexed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MakeIndexer:
     """Return a function that makes an indexer whose process runs this Python."""
     (tmp_path / "recording").mkdir()
     (tmp_path / "daemon.log").touch()
@@ -182,7 +185,7 @@ REPORT = 'import os; os.write(3, b\'{"error": "%s"}\\n\')'
     ],
 )
 async def test_a_failure_is_told_and_counted(
-    indexed: Callable[[str], Indexer], until: Until, script: str, failure: str
+    indexed: MakeIndexer, until: Until, script: str, failure: str
 ) -> None:
     indexer = indexed(script)
     assert indexer.problem == ""
@@ -205,7 +208,7 @@ def test_all_indexes_of_a_recording_that_goes_on_cost_three_times_the_last() -> 
 
 
 async def test_the_end_does_not_wait_and_what_goes_wrong_then_is_in_the_log(
-    indexed: Callable[[str], Indexer], until: Until, tmp_path: Path
+    indexed: MakeIndexer, until: Until, tmp_path: Path
 ) -> None:
     go_on = tmp_path / "go on"
     os.mkfifo(go_on)
@@ -218,7 +221,7 @@ async def test_the_end_does_not_wait_and_what_goes_wrong_then_is_in_the_log(
 
 
 async def test_a_cancelled_indexer_leaves_no_process(
-    indexed: Callable[[str], Indexer], until: Until, tmp_path: Path
+    indexed: MakeIndexer, until: Until, tmp_path: Path
 ) -> None:
     pid = tmp_path / "pid"
     lasting = f"import os, time; open({str(pid)!r}, 'w').write(str(os.getpid())); time.sleep(600)"
@@ -365,7 +368,7 @@ def test_the_clip_process_has_the_lowest_priority(tmp_path: Path) -> None:
 
 
 async def test_without_duckdb_that_is_said_once_and_nothing_is_started(
-    indexed: Callable[[str], Indexer],
+    indexed: MakeIndexer,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.support.lines import line_of
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, World, world_with_daemon
 
@@ -96,9 +97,8 @@ def test_an_interrupted_command_returns_when_the_robot_stands(
 
 
 def test_a_second_ctrl_c_is_the_emergency_stop(slow: World, waiting: subprocess.Popen[str]) -> None:
-    assert waiting.stderr is not None
     waiting.send_signal(signal.SIGINT)
-    assert "Ctrl-C again: emergency stop" in waiting.stderr.readline()
+    assert "Ctrl-C again: emergency stop" in line_of(waiting.stderr)
     until(lambda: slow.status()["phase"] == "stopping")
     waiting.send_signal(signal.SIGINT)
     _, err = waiting.communicate(timeout=2 * DEADLINE_S)

@@ -89,6 +89,5 @@ def test_a_daemon_that_hangs_is_named(world: World) -> None:
         ran = world.here("doctor")
     finally:
         os.kill(pid, signal.SIGCONT)
-    assert ran.exit_code == 4
-    assert "the daemon of robot 'robot' did not answer" in ran.out
+    ran.failed(4, out="the daemon of robot 'robot' did not answer")
     world.ok("stop")

@@ -8,6 +8,7 @@ from signal import SIGCONT, SIGINT, SIGSTOP
 
 import pytest
 
+from tests.support.lines import line_of
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import ROBOTCTL, NewPeer, World, new_world
 
@@ -27,8 +28,7 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
     world: World, new_peer: NewPeer
 ) -> None:
     holder = world.spawn("lease", "take", "--reason", "inspection")
-    assert holder.stdout is not None
-    told = holder.stdout.readline()
+    told = line_of(holder.stdout)
     found = re.search(r"ROBOTCTL_LEASE=(\w+)", told)
     assert found, told
     world.robotctl("lease", "take").failed(4, f"pid {holder.pid}) holds the lease (inspection)")
@@ -52,8 +52,7 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
     assert "lost the lease: its connection closed" in told
     del world.environment["ROBOTCTL_LEASE"]
     third = world.spawn("lease", "take")
-    assert third.stdout is not None
-    assert third.stdout.readline().startswith("Lease taken.")
+    assert line_of(third.stdout).startswith("Lease taken.")
     third.send_signal(SIGINT)  # however soon after the line
     out, _ = third.communicate(timeout=DEADLINE_S)
     assert (third.returncode, "Lease released" in out) == (0, True)
@@ -66,8 +65,7 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
 
 def test_a_frozen_holder_loses_the_lease_and_the_robot_ramps_down(world: World) -> None:
     holder = world.spawn("lease", "take")
-    assert holder.stdout is not None
-    world.environment["ROBOTCTL_LEASE"] = holder.stdout.readline().rstrip().split("=")[1]
+    world.environment["ROBOTCTL_LEASE"] = line_of(holder.stdout).rstrip().split("=")[1]
     world.ok("drive", "circle")
     until(lambda: world.status()["velocity"]["linear"] > 0.05)
     holder.send_signal(SIGSTOP)

@@ -27,6 +27,7 @@ from robotctl.daemon.log_lines import (
 )
 from robotctl.daemon.ros_logs import MAX_NAME_LENGTH, MAX_NAMES, LoggerLevels
 from robotctl.ipc.client import Client
+from tests.support.lines import line_of
 from tests.support.waiting import DEADLINE_S, loop_until, until
 from tests.support.world import World
 
@@ -104,9 +105,8 @@ def test_dropped_lines_are_counted_and_reported_when_stderr_takes_lines_again() 
     code = f"for n in range({lines}): log.warning('%d %s', n, {length} * 'x')\nasked()"
     with queued(code, writing) as process:
         os.close(writing)
-        assert process.stdout is not None
         assert process.stdin is not None
-        assert process.stdout.readline() == "asked\n"  # before stderr is read
+        assert line_of(process.stdout) == "asked\n"  # before stderr is read
         process.stdin.write("\n")
         process.stdin.flush()
         text = read_all(reading)
@@ -122,8 +122,7 @@ def test_the_end_does_not_wait_for_a_stderr_that_takes_nothing() -> None:
     reading, writing = full_pipe()
     with queued("log.warning('unread')", writing) as process:
         os.close(writing)
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ended\n"
+        assert line_of(process.stdout) == "ended\n"
         assert process.wait(DEADLINE_S) == 0
     os.close(reading)
 
@@ -133,8 +132,7 @@ def test_what_libraries_and_warnings_write_does_not_wait_either() -> None:
     code = "ctypes.CDLL(None).write(2, b'C writes\\n', 9); warnings.warn('late'); asked()"
     with queued(code, writing) as process:
         os.close(writing)
-        assert process.stdout is not None
-        assert process.stdout.readline() == "asked\n"
+        assert line_of(process.stdout) == "asked\n"
         assert process.stdin is not None
         process.stdin.close()
         text = read_all(reading)
@@ -345,8 +343,7 @@ def test_a_blocked_log_delays_neither_the_stop_nor_the_zeros(
     process = world.spawn("start", "--foreground", "--sim", "--drive", "circle", stderr=writing)
     os.close(writing)
     world.enter(monkeypatch)
-    assert process.stdout is not None
-    ready = json.loads(process.stdout.readline())
+    ready = json.loads(line_of(process.stdout))
     assert (ready["ready"], ready["pid"]) == (True, process.pid)
     with Client("robot") as client:
         for number in range(1500):  # more than the queue holds

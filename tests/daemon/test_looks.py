@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import signal
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.support.lines import Told, peer_command
+from tests.support.lines import Told, line_of, peer_command
 from tests.support.waiting import until
 from tests.support.world import World, world_with_daemon
 
@@ -139,14 +138,9 @@ def test_what_cannot_be_done_is_a_sentence_and_an_exit_code(
     assert "\x1b" not in err
 
 
-def first_line(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return process.stdout.readline()
-
-
 def test_ctrl_c_ends_a_look_without_a_traceback(world: World) -> None:
     process = world.spawn("topic", "echo", "/odom", "child_frame_id")
-    assert first_line(process) == "base_link\n"
+    assert line_of(process.stdout) == "base_link\n"
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130

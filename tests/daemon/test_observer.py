@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from robotctl.replay.replay_guard import daemons_in, running_daemons
-from tests.support.lines import Told, peer_command
+from tests.support.lines import Told, line_of, peer_command
 from tests.support.waiting import until
 from tests.support.world import InProcess, NewPeer, Peer, World, new_world, read_back
 
@@ -36,8 +36,7 @@ class Observed:
         world.ok("mark", "seen")
         world.ok("record", "split")
         watching = world.spawn("watch")
-        assert watching.stdout is not None
-        _, self.line = watching.stdout.readline(), watching.stdout.readline()
+        _, self.line = line_of(watching.stdout), line_of(watching.stdout)
         self.status = world.status()
         self.nodes = peer("nodes")
         self.publishers = peer("publishers")

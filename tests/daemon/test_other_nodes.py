@@ -7,6 +7,7 @@ import re
 import signal
 import time
 
+from tests.support.lines import line_of
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import PATIENT, NewPeer, World
 
@@ -38,8 +39,7 @@ def test_a_robot_outside_stops_by_itself_while_its_daemon_is_suspended_and_when_
     peer = new_peer(world)
     peer("listen")
     robot = world.spawn("sim")
-    assert robot.stdout is not None
-    assert "simulated robot robot runs in ROS domain" in robot.stdout.readline()
+    assert "simulated robot robot runs in ROS domain" in line_of(robot.stdout)
     assert "simulator   no" in world.ok("start")
 
     def drive() -> None:

@@ -24,6 +24,7 @@ from robotctl.messages.values import Decoder
 from robotctl.recording import JournalEntry
 from robotctl.recording.format.noted_events import DEFINITION, TYPE_NAME, encode_event
 from robotctl.view.remote_control import LET_GO_S
+from tests.support.lines import line_of
 from tests.support.view_client import ViewClient, view_client
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import ROBOTCTL, InProcess, World, entries_of, world_with_daemon
@@ -42,8 +43,7 @@ def driving() -> Iterator[World]:
 def view_of(world: World, *options: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
     """Run the command during a block; yield the process and what it prints first."""
     process = world.spawn("view", "--port", "0", "--json", *options)
-    assert process.stdout is not None
-    first = process.stdout.readline()
+    first = line_of(process.stdout)
     assert first, process.communicate()
     try:
         yield process, json.loads(first)
@@ -129,8 +129,7 @@ async def test_commands_cannot_be_published_and_a_new_run_has_a_new_token(drivin
 async def test_a_view_and_that_of_a_start_end_with_the_daemon(world: World) -> None:
     ready = world.answer("start", "--sim", "--view")
     process = world.spawn("view")
-    assert process.stdout is not None
-    lines = [process.stdout.readline() for _ in range(3)]
+    lines = [line_of(process.stdout) for _ in range(3)]
     assert max(map(len, lines[:2])) <= 81
     for url in (ready["view"]["url"], lines[1].split()[-1]):
         async with view_client(url) as client:
@@ -179,8 +178,7 @@ async def drive_with_the_lease(world: World) -> None:
     process = world.spawn(
         *("lease", "take", "--", ROBOTCTL, "view", "--port", "0", "--json", "--control")
     )
-    assert process.stdout is not None
-    ready = json.loads(process.stdout.readline())
+    ready = json.loads(line_of(process.stdout))
     async with view_client(ready["url"]) as client:
         await client.until(lambda: client.op("serverInfo"))
         assert client.op("serverInfo")[0]["capabilities"] == ["services", "clientPublish"]

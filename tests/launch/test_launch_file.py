@@ -22,6 +22,7 @@ from robotctl.base.paths import check_namespace
 from robotctl.check.report import Verdict
 from robotctl.check.run import check_recording
 from tests.launch.stand_in import Made, classes, stand_in
+from tests.support.lines import line_of
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import installed, new_world
 
@@ -136,8 +137,7 @@ def test_sim_auto_ends_where_odometry_is_published_in_its_namespace() -> None:
     robot = ("--robot", "r1", "--namespace", "/fleet/r1")
     with new_world() as world:
         simulated = world.spawn("sim", *robot)
-        assert simulated.stdout is not None
-        assert simulated.stdout.readline().startswith("simulated robot r1 runs")
+        assert line_of(simulated.stdout).startswith("simulated robot r1 runs")
         assert world.robotctl("sim", *robot, "--auto").exit_code == 0
         simulated.send_signal(signal.SIGINT)
         assert simulated.wait(timeout=2 * DEADLINE_S) == 0

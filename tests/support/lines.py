@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 from tests.support.waiting import DEADLINE_S
 
@@ -24,6 +24,12 @@ def peer_command(module: str, *arguments: str) -> list[str]:
         f"import sys; sys.path.insert(0, {str(ROOT)!r}); {run}",
         *arguments,
     ]
+
+
+def line_of(pipe: IO[str] | None) -> str:
+    """Read the next line of a process that was started with this pipe."""
+    assert pipe is not None
+    return pipe.readline()
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,6 +100,15 @@ NO_INDEX = ("--ros-args", "-p", "recording.index:=false")
 INDEXING = "robotctl.collection.indexing:index_job"
 
 
+def has_ended(pid: int) -> bool:
+    """Return whether a process is gone, or a zombie: only then its sockets are closed."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    return state in "ZX"
+
+
 class Peer(Told):
     """Commands a second process with plain rclpy (tests.support.ros_peer)."""
 
@@ -262,7 +271,7 @@ class World:
                 own.add(os.readlink(each))
         with suppress(ProcessLookupError):
             os.kill(pid, number)
-        until(lambda: pid not in self.processes())
+        until(lambda: has_ended(pid))
         for name in own:
             if re.fullmatch(rf"{SHARED_MEMORY}/fastrtps_[0-9a-f]+_el", name):  # locked by its owner
                 for path in SHARED_MEMORY.glob(f"{Path(name).name.removesuffix('_el')}*"):
