@@ -381,9 +381,8 @@ CHUNK_BYTES = 4096
 
 
 @pytest.fixture
-def small_recorder(tmp_path: Path) -> Recorder:
-    options = RecorderOptions(chunk_bytes=CHUNK_BYTES, flush_s=0.005)
-    return Recorder(tmp_path / "run", options, on_failure=pytest.fail)
+def small_recorder(tmp_path: Path) -> Tape:
+    return Tape(tmp_path / "run", chunk_bytes=CHUNK_BYTES, flush_s=0.005)
 
 
 def without_memory(wanted: Callable[..., Any], times: int) -> Callable[..., Any]:
@@ -410,14 +409,14 @@ def without_memory(wanted: Callable[..., Any], times: int) -> Callable[..., Any]
     ],
 )
 def test_what_finds_no_memory_is_dropped_and_counted_and_the_next_is_written(
-    small_recorder: Recorder, monkeypatch: pytest.MonkeyPatch, place: Any, name: str, size: int
+    small_recorder: Tape, monkeypatch: pytest.MonkeyPatch, place: Any, name: str, size: int
 ) -> None:
-    channel = small_recorder.add_topic(TWIST)
+    small_recorder.add_topic(TWIST)
     monkeypatch.setattr(place, name, without_memory(getattr(place, name), 3))
     for number in range(1, 1001):
-        write_numbered(small_recorder, channel, range(number, number + 1), size)
+        small_recorder.commands(range(number, number + 1), size)
         if number % 20 == 0:
-            until(lambda: small_recorder.stats().queued == 0)
+            small_recorder.settle()
     stats = small_recorder.close()
     assert (stats.received, stats.queued, stats.failure) == (1000, 0, "")
     assert stats.received == stats.written + stats.dropped
@@ -429,10 +428,10 @@ def test_what_finds_no_memory_is_dropped_and_counted_and_the_next_is_written(
 
 
 def test_without_any_memory_at_the_end_nothing_stays_queued(
-    small_recorder: Recorder, monkeypatch: pytest.MonkeyPatch
+    small_recorder: Tape, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(PackBuffer, "take", without_memory(PackBuffer.take, 10**9))
-    write_numbered(small_recorder, small_recorder.add_topic(TWIST), range(1, 101))
+    small_recorder.commands(range(1, 101))
     stats = small_recorder.close()
     assert (stats.written, stats.dropped, stats.queued) == (0, 100, 0)
     assert stats.state is RecorderState.CLOSED
@@ -454,11 +453,11 @@ def test_the_thread_survives_a_failure_that_it_cannot_even_tell(
     assert (stats.dropped, stats.queued) == (10, 0)
 
 
-def test_a_message_that_is_packed_by_half_leaves_the_others_whole(small_recorder: Recorder) -> None:
+def test_a_message_that_is_packed_by_half_leaves_the_others_whole(small_recorder: Tape) -> None:
     channel = small_recorder.add_topic(TWIST)
-    write_numbered(small_recorder, channel, range(1, 11))
-    until(lambda: small_recorder.stats().queued == 0)
-    write_numbered(small_recorder, channel, range(11, 12))
+    small_recorder.commands(range(1, 11))
+    small_recorder.settle()
+    small_recorder.commands(range(11, 12))
 
     class FullIndex(list[int]):
         def append(self, number: int) -> None:
@@ -468,10 +467,10 @@ def test_a_message_that_is_packed_by_half_leaves_the_others_whole(small_recorder
 
     indexes: Any = small_recorder._buffer.indexes
     whole, indexes[channel] = indexes[channel], FullIndex()
-    write_numbered(small_recorder, channel, range(12, 13))
+    small_recorder.commands(range(12, 13))
     assert indexes[channel] == []
     indexes[channel] = whole
-    write_numbered(small_recorder, channel, range(13, 20))
+    small_recorder.commands(range(13, 20))
     stats = small_recorder.close()
     assert (stats.written, stats.dropped, stats.no_memory) == (18, 1, 1)
     assert [m.sequence for m in read_strictly(stats.file)] == [*range(1, 12), *range(13, 20)]

@@ -109,45 +109,6 @@ def bench(executor: Any, node: Bench) -> Bench:
     return node
 
 
-@pytest.fixture
-def turns_while_waiting() -> Callable[[], Awaitable[int]]:
-    """Counts the turns of the loop in 0.1 s; a loop that spins has thousands."""
-
-    async def count() -> int:
-        selector: Any = asyncio.get_running_loop()._selector  # type: ignore[attr-defined]
-        select = selector.select
-        turns = 0
-
-        def counted(timeout: float | None = None) -> object:
-            nonlocal turns
-            turns += 1
-            return select(timeout)
-
-        selector.select = counted
-        try:
-            await asyncio.sleep(0.1)
-        finally:
-            del selector.select
-        return turns
-
-    return count
-
-
-@pytest.fixture
-def comes_to_rest(
-    turns_while_waiting: Callable[[], Awaitable[int]],
-) -> Callable[[], Awaitable[bool]]:
-    """Tells whether the loop comes to rest after pending work is done."""
-
-    async def rests() -> bool:
-        for _ in range(20):
-            if await turns_while_waiting() < 20:
-                return True
-        return False
-
-    return rests
-
-
 class Taken:
     """The topics and messages that a tap handed over."""
 

@@ -164,3 +164,30 @@ def loop_descriptors() -> int:
         with suppress(FileNotFoundError):  # it was closed after it was listed
             count += os.readlink(descriptor).startswith("anon_inode:")
     return count
+
+
+async def turns_while_waiting() -> int:
+    """Count the turns of the loop in 0.1 s; a loop that spins has thousands."""
+    selector: Any = asyncio.get_running_loop()._selector  # type: ignore[attr-defined]
+    select = selector.select
+    turns = 0
+
+    def counted(timeout: float | None = None) -> object:
+        nonlocal turns
+        turns += 1
+        return select(timeout)
+
+    selector.select = counted
+    try:
+        await asyncio.sleep(0.1)
+    finally:
+        del selector.select
+    return turns
+
+
+async def comes_to_rest() -> bool:
+    """Return whether the loop comes to rest after pending work is done."""
+    for _ in range(20):
+        if await turns_while_waiting() < 20:
+            return True
+    return False

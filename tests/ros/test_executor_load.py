@@ -12,7 +12,7 @@ import gc
 import os
 import threading
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool
 
 from robotctl.ros import RawTap, Ticker
 from tests.ros.conftest import Feed, Peer, RunPython
-from tests.ros.open_executor import Bench, loop_descriptors, opened, populate
+from tests.ros.open_executor import Bench, comes_to_rest, loop_descriptors, opened, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -281,13 +281,8 @@ def test_25_lives_of_a_whole_context_leave_files_threads_and_memory_as_they_were
     assert memory_after - memory < 2_500_000
 
 
-ComesToRest = Callable[[], Awaitable[bool]]
-
-
 @pytest.mark.parametrize("kind", ["call", "call_async", "goal", "future", "task", "timer"])
-async def test_a_coroutine_that_waits_does_not_turn_the_loop(
-    bench: Bench, comes_to_rest: ComesToRest, kind: str
-) -> None:
+async def test_a_coroutine_that_waits_does_not_turn_the_loop(bench: Bench, kind: str) -> None:
     client = bench.create_client(SetBool, bench.topic)
     actions = ActionClient(bench, DrivePattern, bench.topic)
 
@@ -316,9 +311,7 @@ async def test_a_coroutine_that_waits_does_not_turn_the_loop(
     actions.destroy()
 
 
-async def test_an_entity_parked_behind_its_group_does_not_turn_the_loop(
-    bench: Bench, comes_to_rest: ComesToRest
-) -> None:
+async def test_an_entity_parked_behind_its_group_does_not_turn_the_loop(bench: Bench) -> None:
     release = asyncio.Event()
     busy: list[int] = []
 
@@ -338,7 +331,7 @@ async def test_an_entity_parked_behind_its_group_does_not_turn_the_loop(
 
 
 async def test_a_ros_time_timer_whose_clock_stands_still_does_not_turn_the_loop(
-    bench: Bench, comes_to_rest: ComesToRest
+    bench: Bench,
 ) -> None:
     bench.set_parameters([Parameter("use_sim_time", value=True)])
     clock: Any = bench.get_clock()
@@ -382,9 +375,7 @@ async def test_churn_of_subscriptions_under_traffic_loses_no_message_of_the_othe
     assert got == list(range(len(got)))
 
 
-async def test_a_cancelled_timer_does_not_turn_the_loop(
-    bench: Bench, comes_to_rest: ComesToRest
-) -> None:
+async def test_a_cancelled_timer_does_not_turn_the_loop(bench: Bench) -> None:
     fired = bench.ticks(0.005)
     await until(lambda: fired)
     fired.entity.cancel()

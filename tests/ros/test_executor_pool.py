@@ -10,7 +10,6 @@ import asyncio
 import os
 import threading
 import time
-from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,7 +23,7 @@ from robotctl.ros.executor.event_loop import NS_PER_S, beat_before
 from robotctl.ros.executor.loop_thread import LoopThread
 from robotctl.ros.executor.runtime import Pool
 from robotctl.ros.executor.subscriptions import affordable_rest_s
-from tests.ros.open_executor import Bench, Heard
+from tests.ros.open_executor import Bench, Heard, comes_to_rest
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -291,9 +290,7 @@ async def test_a_tap_without_latency_is_looked_at_for_every_message(bench: Bench
     assert bench.sources[got.entity].pool is None
 
 
-async def test_taps_that_get_nothing_do_not_turn_the_loop(
-    bench: Bench, comes_to_rest: Callable[[], Awaitable[bool]]
-) -> None:
+async def test_taps_that_get_nothing_do_not_turn_the_loop(bench: Bench) -> None:
     taps = [bench.tap(f"{bench.topic}/n{index}") for index in range(5)]
     bench.publish(0, topic=f"{bench.topic}/n0")
     await until(lambda: taps[0])

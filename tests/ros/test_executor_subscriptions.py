@@ -8,7 +8,7 @@ Guard conditions and foreign Waitables under AsyncioExecutor: the wait-set threa
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -24,7 +24,7 @@ from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import announcements, subscriptions
 from robotctl.ros.executor.raw_tap import LARGE_BYTES, SerializedTaker
 from tests.ros.conftest import Feed, Peer
-from tests.ros.open_executor import Bench, Node, opened
+from tests.ros.open_executor import Bench, Node, comes_to_rest, opened
 from tests.support.waiting import loop_until as until
 from tests.support.waiting import until as wait_until
 
@@ -258,11 +258,7 @@ async def test_a_foreign_waitable_is_waited_for_taken_and_executed(
 
 @pytest.mark.parametrize("method", ["get_num_entities", "add_to_wait_set", "is_ready", "take_data"])
 async def test_a_foreign_waitable_that_raises_is_reported_and_disturbs_no_guard_condition(
-    node: Bench,
-    waitable: ForeignWaitable,
-    comes_to_rest: Callable[[], Awaitable[bool]],
-    monkeypatch: pytest.MonkeyPatch,
-    method: str,
+    node: Bench, waitable: ForeignWaitable, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
     def fail(*_: object) -> None:
         raise ValueError("no")
@@ -412,7 +408,7 @@ async def test_messages_that_waited_for_their_callback_group_are_all_delivered(
 
 
 async def test_a_foreign_waitable_parked_behind_its_group_does_not_turn_the_loop(
-    foreign: ForeignWaitable, node: Bench, comes_to_rest: Callable[[], Awaitable[bool]]
+    foreign: ForeignWaitable, node: Bench
 ) -> None:
     release = asyncio.Event()
     busy: list[int] = []

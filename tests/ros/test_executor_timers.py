@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable
 from itertools import pairwise
 
 import pytest
@@ -17,7 +16,7 @@ from rclpy.parameter import Parameter
 
 from robotctl.ros import Tick, Ticker
 from tests.ros.conftest import Peer
-from tests.ros.open_executor import Bench, loop_descriptors
+from tests.ros.open_executor import Bench, loop_descriptors, turns_while_waiting
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -141,9 +140,7 @@ async def test_a_consumer_that_is_always_late_leaves_the_loop_its_turns() -> Non
     assert turns >= 20
 
 
-async def test_a_ticker_that_nobody_awaits_does_not_turn_the_loop(
-    turns_while_waiting: Callable[[], Awaitable[int]],
-) -> None:
+async def test_a_ticker_that_nobody_awaits_does_not_turn_the_loop() -> None:
     async with asyncio.timeout(DEADLINE_S), Ticker(100.0) as ticker:
         await anext(ticker)
         # 10 expiries, the sleep itself, and room for a few strays.
