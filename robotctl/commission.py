@@ -35,7 +35,7 @@ class TrialSample(NamedTuple):
 
 
 class TrialCommand(NamedTuple):
-    """A velocity command, and when it was sent (monotonic clock)."""
+    """A velocity command, with the time on the monotonic clock at which it was sent."""
 
     t_s: float
     linear_mps: float

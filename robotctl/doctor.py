@@ -47,7 +47,7 @@ class Level(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of a check: `text` says what was found, and `cure` what to do, "" for nothing."""
+    """The result of a check. `text` describes it; `cure` is the advice, or "" if none is needed."""
 
     check: str
     level: Level

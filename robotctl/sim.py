@@ -109,9 +109,9 @@ class SimParams:
 class Robot:
     """A robot that follows commands as well as its parameters allow.
 
-    `truth` is its true pose, `odometry` the pose by its odometry; both begin at the origin.
-    `measured` is the velocity by its odometry, `battery` its battery level from 0 to 1, and
-    `faults` has its active faults.
+    `truth` is its true pose, and `odometry` is the pose that its odometry reports; both begin at
+    the origin. `measured` is the velocity that its odometry reports. `battery` is its battery level
+    from 0 to 1. `faults` has its active faults.
     """
 
     def __init__(self, params: SimParams) -> None:

@@ -73,7 +73,7 @@ def _run(
 
 @contextmanager
 def local_threads(jobs: int) -> Iterator[Executor]:
-    """Yield an executor with a thread per job, at most `THREADS`; for jobs that wait for I/O."""
+    """Yield an executor for I/O-bound jobs, with a thread per job, at most `THREADS` of them."""
     executor = ThreadPoolExecutor(min(jobs, THREADS))
     try:
         yield executor

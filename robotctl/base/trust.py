@@ -52,7 +52,7 @@ class FolderChain:
         self._trusted = (ROOT_UID, os.getuid(), guest)
 
     def for_client(self) -> FolderChain:
-        """Return a chain for a client; if `variable` is set, it may also trust the owner of `base`.
+        """Return a chain for a client. It may also trust the owner of `base` if `variable` is set.
 
         Root trusts any owner: `sudo -E robotctl estop` stops the robot of the user who runs it.
         Other users trust the owner if `base` is a folder that root created for a system unit.

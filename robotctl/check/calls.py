@@ -122,7 +122,7 @@ _BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
 
 @dataclass(slots=True)
 class Asked:
-    """A request in the journal: number of its entry, requested mode, times of its step, reply."""
+    """A request in the journal, which is entry `seq`; `moments` are the times of its step."""
 
     seq: int
     requested: int

@@ -31,7 +31,7 @@ TOLERANCE_M = 0.005
 def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> tuple[Point, ...]:
     """Return waypoints of the last motion in a recording, () if the robot did not drive.
 
-    Without a journal, the waypoints are of all recorded odometry. `on_missing` gets a sentence
+    If there is no journal, the waypoints follow all recorded odometry. `on_missing` gets a sentence
     about each part of the recording that cannot be read: a later motion may be in that part.
 
     Raises:

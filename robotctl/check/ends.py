@@ -34,7 +34,7 @@ IN_SOURCE = "a clip does not tell what was lost, its source does"
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a recording ends for one of its topics, which decides what a difference means."""
+    """The end of a recording for one of its topics; it decides if a difference is a violation."""
 
     report: Report
     invariants: Invariants

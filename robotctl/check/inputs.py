@@ -110,7 +110,7 @@ class UnheardChange:
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Check the messages up to the newest input; `stall_ns` extends UNHEARD_NS."""
+        """Check the messages up to the newest input; allow `stall_ns` more than UNHEARD_NS."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)

@@ -30,7 +30,7 @@ _FLOAT: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
 
 
 def rounded(text: str) -> str:
-    """Return a text with each float in it rounded to DIGITS significant digits."""
+    """Return `text`, with each float in it rounded to DIGITS significant digits."""
     return _FLOAT.sub(lambda number: f"{float(number[0]):.{DIGITS}g}", text)
 
 

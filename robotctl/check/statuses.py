@@ -41,10 +41,10 @@ class _ModeSpan:
 
 
 class ShownModes:
-    """Compares the modes in the statuses with those in the journal, from a snapshot on.
+    """Compares the mode in each status with the modes in the journal, from a snapshot on.
 
-    `wrong` counts the statuses with a mode that the robot did not have within NEAR_NS of them,
-    according to the journal. Statuses near a change of the clock are not counted.
+    `wrong` counts the statuses whose mode the robot, according to the journal, did not have within
+    NEAR_NS of the status. Statuses near a change of the clock are not counted.
     """
 
     def __init__(self, clock: ClockChanges) -> None:

@@ -113,9 +113,9 @@ class TickSchedule:
             self._least = least._replace(late_ns=late_ns)
 
     def stop(self) -> None:
-        """Add the ticks that are missing so far to `missing`, then start over.
+        """Add the first ticks found missing since the last call, if any, to `missing`; start over.
 
-        Call this before a gap in the journal, and at its end. A late last window proves nothing.
+        Call this before a gap in the journal, and at its end. The last window is not judged.
         """
         windows = self._windows if self._least is None else [*self._windows, self._least]
         before = accumulate(windows, min)
@@ -205,7 +205,7 @@ RECENT_NS: Final = 2 * NS_PER_S
 
 
 class RecordedStalls:
-    """Collects the stalls of the control loop; `longest_ns` is the duration of the longest."""
+    """Collects the stalls of the control loop; `longest_ns` is the longest duration of a stall."""
 
     def __init__(self) -> None:
         self.longest_ns = 0

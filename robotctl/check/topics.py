@@ -150,7 +150,7 @@ class RepeatedLatched:
 
     @property
     def excess(self) -> int:
-        """By how many the repeats exceed the number that is allowed, at least 0."""
+        """The number of repeats above the allowed number, 0 if they do not exceed it."""
         return max(len(self._repeats) - max(self._files, self._snapshots), 0)
 
 

@@ -124,7 +124,7 @@ def _pattern(path: Path | str) -> str:
 
 
 def text(value: object) -> str:
-    """Return the value as an SQL string literal."""
+    """Return `value` as an SQL string literal."""
     return "'" + str(value).replace("'", "''") + "'"
 
 

@@ -133,7 +133,7 @@ Change = dict[str, Any]
 
 
 def totals_of(changes: Iterable[Change]) -> dict[str, Any]:
-    """Return sums and maxima over all drives of many recordings, as JSON values.
+    """Return a JSON object with sums and maxima over all drives of many recordings.
 
     `modes_s` has the times in each mode over the whole recordings, not only their drives.
     """

@@ -170,7 +170,7 @@ class Answer:
 
 
 def columns_of(table: str) -> tuple[str, ...]:
-    """Return the names of the columns of a table in `TABLES`."""
+    """Return the names of all columns of `table`, which is a name in `TABLES`."""
     return ("recording", *columns(TABLES[table]))
 
 

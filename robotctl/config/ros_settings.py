@@ -60,7 +60,7 @@ class NodeParameter(NamedTuple):
 
 
 def read_parameter_file(path: Path) -> tuple[NodeParameter, ...]:
-    """Return the parameters in the file, in its order.
+    """Return the parameters in the file, in the order of the file.
 
     Raises:
         ConfigError: The file cannot be read, or is not a ROS parameter file.

@@ -258,7 +258,7 @@ def check_together(kernel: KernelParams) -> None:
 
 
 def warn_of_retired(key: str, warn: Callable[[str], object], where: str = "") -> bool:
-    """Return whether `key` is retired; if so, call `warn` with a text that begins with `where`."""
+    """Return whether `key` is retired. If so, call `warn` with a sentence; `where` is its start."""
     instead = retired.CONFIG_KEYS.get(key)
     if instead is not None:
         warn(f"{where}{key} is retired and ignored: {instead}")

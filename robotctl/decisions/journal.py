@@ -145,7 +145,7 @@ def parse(line: bytes) -> Entry:
 
 
 def log_folder(robot: str) -> Path:
-    """Return the folder of the robot's journal."""
+    """Return the folder of the decision journal of `robot`."""
     return robot_state_folder(robot) / FOLDER
 
 

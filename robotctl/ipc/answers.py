@@ -10,7 +10,7 @@ from typing import TypedDict
 
 
 class DriveFigures(TypedDict, total=False):
-    """The errors of a drive; None: unknown, or the drive follows no path (such as `hold`)."""
+    """The errors of a drive. None means unknown, or a drive without a path, such as `hold`."""
 
     laps: int
     distance_m: float | None
@@ -32,7 +32,7 @@ class DriveFigures(TypedDict, total=False):
 class DriveFacts(DriveFigures):
     """The current drive and its errors so far; see `kernel.types.DriveReport`.
 
-    `laps` is the number of laps to drive; 0: until stopped.
+    `laps` is the number of laps to drive. If it is 0, the drive continues until it is stopped.
     """
 
     what: str

@@ -278,7 +278,7 @@ def no_daemon(robot: str) -> NoDaemon:
 
 
 def command_for(robot: str, command: str) -> str:
-    """Return the command line for a robot; `--robot` is left out for the default robot."""
+    """Return the line that runs `command` for `robot`, without `--robot` for the default robot."""
     return f"robotctl {command}" + ("" if robot == DEFAULT_ROBOT else f" --robot {robot}")
 
 

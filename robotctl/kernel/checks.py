@@ -124,7 +124,7 @@ def odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> st
 
 
 def second_odometry(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if a publisher that is not followed sends odometry too, else ""."""
+    """Return a sentence if a second publisher, which is not followed, sends odometry, else ""."""
     second = health.odometry_sources.second
     if second is None or _age_s(second.t_ns, t_ns) > params.odometry.timeout_s:
         return ""

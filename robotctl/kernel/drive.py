@@ -349,5 +349,5 @@ class Drive:
 
 
 def origin_of(pose: Pose, course: Course) -> Pose:
-    """Return the origin of a drive that begins at `pose`: turned by pi in reverse."""
+    """Return the origin of a drive that begins at `pose`; in reverse it is `pose` turned by pi."""
     return pose.compose(_TURNED) if course.reverse else pose

@@ -31,7 +31,7 @@ class Pose:
         )
 
     def express(self, other: Pose) -> Pose:
-        """Return `other`, a pose in this pose's parent frame, as a pose relative to this pose."""
+        """Return `other` relative to this pose; both are given in the same parent frame."""
         c, s = direction(self.theta)
         dx, dy = other.x - self.x, other.y - self.y
         return Pose(c * dx + s * dy, c * dy - s * dx, wrap_angle(other.theta - self.theta))

@@ -50,7 +50,7 @@ class TrackingParams:
 
 
 class Stamping(Enum):
-    """Whether the command is a TwistStamped; AUTO chooses the type of the subscriptions."""
+    """Whether commands are TwistStamped; AUTO uses the type to which the base subscribes."""
 
     AUTO = "auto"
     TRUE = "true"

@@ -35,7 +35,7 @@ STRAIGHT_RAD, SHORTEST_M = 1e-6, 1e-9
 
 
 def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
-    """Return the waypoints relative to the origin of a drive by a robot at `start`.
+    """Return the waypoints of `course` relative to the origin of a drive that begins at `start`.
 
     In reverse the origin looks backwards, so a point ahead of the robot is behind the origin.
     """

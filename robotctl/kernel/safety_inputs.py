@@ -55,7 +55,7 @@ class EstopParams:
 
 @dataclass(frozen=True, slots=True)
 class JoyParams:
-    """A button of a sensor_msgs/Joy topic that is an emergency stop; `button` counts from 0."""
+    """The button on a sensor_msgs/Joy topic that acts as emergency stop; `button` counts from 0."""
 
     use: Use = setting(Use.OFF, "emergency stop on a gamepad", Change.START)
     topic: str = topic("joy", "its topic")

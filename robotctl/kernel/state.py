@@ -127,13 +127,13 @@ UNKNOWN = Health()
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A motion that another node steers: the last velocity it asked for, and when (None: never)."""
+    """A motion that another node steers. It requested `twist` last, at `t_ns` (None: never)."""
 
     twist: Twist = ZERO
     t_ns: int | None = None
 
     def wanted(self, t_ns: int, timeout_s: float) -> Twist | None:
-        """Return the last velocity asked for; None if there is none, or it is old or not finite."""
+        """Return the last requested velocity, None if there is none, or it is old or not finite."""
         if self.t_ns is None or abs(t_ns - self.t_ns) / NS_PER_S > timeout_s:
             return None
         twist = self.twist
@@ -144,11 +144,11 @@ class Guarded:
 class State:
     """The whole memory of the kernel: state, parameters and events determine every later effect.
 
-    - `reason`: why the mode changed last. `cause`: why the mode is ERROR or EMERGENCY_STOP.
-    - `stop_reason`: why the robot ramps down.
+    - `reason`: the reason for the last change of mode. `cause`: that of ERROR or EMERGENCY_STOP.
+    - `stop_reason`: the reason for which the robot ramps down.
     - `waiting`: the ids of the requests for IDLE that are answered at the end of the ramp.
-    - `tick_t_ns`: when the last tick was.
-    - `idle_t_ns`: when the first tick in IDLE was; only with `when_idle: silent`.
+    - `tick_t_ns`: the time of the last tick.
+    - `idle_t_ns`: the time of the first tick in IDLE; only with `when_idle: silent`.
     - `silent`: whether no command is sent now, because of `when_idle: silent`.
     - `lease`: the only client that may start motion, None if every client may.
     - `guarded`: set in a motion that another node steers.

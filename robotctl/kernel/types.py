@@ -44,7 +44,7 @@ T = TypeVar("T")
 
 
 def changed(value: T, **changes: Any) -> T:
-    """Return a copy of a frozen dataclass without slots, with some fields changed.
+    """Return a copy of `value`, a frozen dataclass without slots, with the `changes` to its fields.
 
     Use it for the dataclasses that each step copies: `dataclasses.replace` is far slower.
     """
@@ -513,7 +513,7 @@ class DriveReport:
     duration_s: float = nan
 
     def without_errors(self) -> DriveReport:
-        """Return a copy in which the four tracking errors are NaN: they were not measured."""
+        """Return a copy whose four tracking errors are NaN; use it if they were not measured."""
         return replace(
             self,
             cross_track_rms_m=nan,

@@ -114,7 +114,7 @@ def unknown_field(name: str, type_name: str, fields: tuple[Field, ...]) -> str:
 
 
 def value_at(values: Mapping[str, Any], steps: Steps) -> Any:
-    """Return the value at the end of a path.
+    """Return the value in `values` to which the path `steps` leads.
 
     Raises:
         WrongValue: A sequence of this message is shorter than the path's index.

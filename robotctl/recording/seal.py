@@ -280,7 +280,7 @@ def entries_of_list(path: Path) -> Iterator[Entry]:
 
 @dataclass(slots=True)
 class KnownHeads:
-    """Sealed files of all robots: each file's opening and end, by the file's public key.
+    """The sealed files of all robots. `opened` and `closed` have openings and ends by public key.
 
     `signed` has the names of the files that have at least one signed link. `keys` has the public
     keys of the files by name: several files can have the same name if the clock was set back after

@@ -111,7 +111,7 @@ def recorded_definition(topic: TopicInfo) -> Definition:
     """Return the definition of a topic's message type.
 
     Raises:
-        UnreadableFile: The recording has no definition, or one that cannot be read.
+        UnreadableFile: The recording has no definition of the type, or it cannot be read.
     """
     is_empty = topic.type_name.endswith("/Empty")
     if not topic.definition.strip() and not is_empty:

@@ -71,7 +71,7 @@ def is_named(topic: TopicInfo, names: Collection[str]) -> bool:
 
 
 def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job) -> list[Route]:
-    """Return a route for each of the `chosen` topics, with the remapped name, not yet prefixed.
+    """Return a route for each of the `chosen` topics; its name is remapped but has no prefix yet.
 
     Raises:
         UsageError: A remap names an unknown topic, or joins topics of different types.

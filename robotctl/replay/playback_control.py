@@ -116,7 +116,7 @@ class PlaybackControl:
             self._steps += self._schedule.paused
 
     def takes_step(self, at_ns: int) -> bool:
-        """Use up a step of this pause for the message at `at_ns`; return whether one was left."""
+        """Use a step of this pause for the message at `at_ns`; return False if no step is left."""
         with self._changing:
             if not (self._steps and self._schedule.paused):
                 return False

@@ -142,7 +142,7 @@ class TopicSender:
 
 
 class ClockPublisher:
-    """Calls `send` with the recorded time every `period_ns` of real time, also during a pause."""
+    """Calls `send` with the recorded position every `period_ns` of real time, also while paused."""
 
     def __init__(self, period_ns: int, send: Callable[[int], object]) -> None:
         self.period_ns = period_ns

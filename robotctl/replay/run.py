@@ -255,7 +255,7 @@ class Replay:
         """Commands received before there was a player."""
 
     def stop(self) -> None:
-        """End the replay early; in the summary, `interrupted` is then true."""
+        """End the replay early; its summary then has the value true for `interrupted`."""
         self._stopped.set()
 
     def control(self, command: Command) -> None:

@@ -40,7 +40,7 @@ class Span:
 
 
 def span_of(info: RecordingInfo, job: Job) -> Span:
-    """Return the part of the recording that `job` plays.
+    """Return the first and last log time that `job` plays.
 
     Raises:
         UsageError: The part starts after the end of the recording.

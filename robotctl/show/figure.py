@@ -154,7 +154,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A text at the height `y` [pixels]; its centre is at `x`, or its end if `is_end`."""
+    """A text at the height `y` [pixels]. `x` is its horizontal centre, or its end if `is_end`."""
 
     text: str
     x: float

@@ -225,7 +225,7 @@ _FOLDER: Final = Path(__file__).parent
 
 
 def report_page(recorded: Recorded, judged: ReportFindings) -> str:
-    """Return the HTML page of a recording, with the verdicts and explanations in `judged`."""
+    """Return the HTML page of a recording; `judged` has the verdicts and explanations to show."""
     name = recorded.info.path.resolve().name
     body = joined(
         _header(recorded, judged.judgements),

@@ -119,7 +119,7 @@ def path_plot(traces: Traces) -> Markup | None:
 
 
 def cursor_data(traces: Traces) -> dict[str, object]:
-    """Return the times, pixels and values with which the page's script moves the cursor."""
+    """Return the JSON object with the times, pixels and values that the page's cursor needs."""
     time, _ = time_figure("", (), traces.duration_s).axes(TIME_FRAME)
     figure, places = _path_figure(traces), traces.driven.whole()
     x, y = figure.axes(_path_frame(figure))

@@ -69,7 +69,7 @@ class GatedFile(DiskFile):
         self._wait = wait
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
-        """Wait, then write."""
+        """Call `wait` of the constructor, then write."""
         self._wait()
         super().write_at(parts, offset)
 

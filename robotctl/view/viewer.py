@@ -66,7 +66,7 @@ class Admission:
         self._origins = {*KNOWN_ORIGINS, *origins}
 
     def refusal(self, target: str, hosts: Sequence[str], origins: Sequence[str]) -> str:
-        """Return why a request is refused, "" if it is admitted.
+        """Return the reason for which a request is refused, or "" if it is admitted.
 
         `target` is the path with the query; `hosts` and `origins` are all Host and Origin headers.
         """

@@ -191,10 +191,10 @@ def is_url(text: str) -> bool:
 
 
 def parse_url(text: str) -> StoreUrl:
-    """Return the parts of a URL.
+    """Return the parts of the URL `text`.
 
     Raises:
-        UsageError: `text` is no URL of a store; the error repeats nothing that may be a password.
+        UsageError: `text` is no URL of a store. No part that may be a password is in the error.
     """
     scheme = text.partition("://")[0].lower()
     if not is_url(text) or scheme not in SCHEMES:

@@ -149,7 +149,7 @@ class HandsWithoutReleases:
         return STEERING[name] if names and repeats and not self._is_forgotten else None
 
     def forget(self) -> None:
-        """Let go: no key counts until all steering keys have been silent for REPEAT_S."""
+        """Release all keys. No key counts until all steering keys have been silent for REPEAT_S."""
         self._is_forgotten = True
 
 
@@ -206,7 +206,7 @@ class Gamepad:
         self._is_forgotten = True
 
     def take(self) -> Wish | None:
-        """Return the wanted motion (STAND if the button is up), None without a new message."""
+        """Return the wanted motion, STAND if the button is up, or None if no message arrived."""
         ours = [each for each in self._listener.receive(0.0) if self._is_followed(each)]
         if not ours:
             return None

@@ -79,7 +79,7 @@ class Keyboard:
     def has_ended(self, ready: Sequence[object]) -> bool:
         """Return whether the terminal is closed. Call this only if `read` has returned "".
 
-        `ready` are the `sources` that were readable before `read` was called.
+        `ready` has those of the `sources` that were readable before the call of `read`.
         """
         return self._saved is not None and self._file in ready and self._stop_asked not in ready
 

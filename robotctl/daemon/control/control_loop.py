@@ -93,7 +93,7 @@ class Gate(Protocol):
         """Pass only zeros from now on; called in the watchdog's thread."""
 
     def publish_zero(self) -> None:
-        """Publish a zero, from `close_gate` to `open_gate`; called in the watchdog's thread."""
+        """Publish a zero while the gate is closed; called in the watchdog's thread."""
 
     def open_gate(self) -> tuple[int, int]:
         """Pass all commands again; return the counts of zeros sent and of commands withheld."""
@@ -264,7 +264,7 @@ class ControlLoop:
         )
 
     async def run(self, look_at_odometry: Callable[[], None]) -> None:
-        """In each period, handle others' commands, odometry, then a tick. Runs until cancelled."""
+        """Handle others' commands, then odometry, then a tick in each period, until cancelled."""
 
         def decide(tick: LoopTick) -> None:
             self.look_at_commands()

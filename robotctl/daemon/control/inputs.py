@@ -148,7 +148,7 @@ class Inputs:
         return lambda *values: self._control.dispatch(kind(time.monotonic_ns(), *values))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
-        """Handle a velocity that another node requests; without a guarded motion, it is ignored."""
+        """Handle a velocity that another node requests; ignore it outside of a guarded motion."""
         if self._control.state.guarded is not None:
             self._control.dispatch(
                 GuardedCommandReceived(time.monotonic_ns(), twist, publisher, sequence)

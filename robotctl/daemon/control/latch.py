@@ -39,10 +39,10 @@ def read(path: Path) -> LatchedStop | None:
     """Return the latched stop, or None if there is none; never wait for a FIFO or a device.
 
     A file that cannot be read counts as a stop by the operator, with the problem as its reason. A
-    file without a cause, which the first version wrote, counts as a stop by the operator as well.
+    file without a cause also counts as a stop by the operator: the first version wrote such files.
 
     Raises:
-        UsageError: Another user could change the folder, and so could have removed the file.
+        UsageError: Another user can change the folder, so that user may have removed the file.
     """
     chain_to(path.parent).check()
     try:
@@ -190,7 +190,7 @@ class Latch:
         return f"{problem} (tried again each second)" if problem else ""
 
     async def close(self) -> None:
-        """Wait for the last change, at most DISK_S."""
+        """Wait at most DISK_S until the last change is on the disk, then end the thread."""
         settled = asyncio.Event()
         self.when_settled(lambda _: settled.set())
         await settled.wait()

@@ -160,7 +160,7 @@ class RobotReport:
         return replace(ended, report=ended.report.without_errors())
 
     def path(self) -> DrivenPath:
-        """Return the reference and the driven path of the present or last drive [m, odom frame]."""
+        """Return the reference points and the driven points [m, odom frame] of the newest drive."""
         return {
             "reference": [[pose.x, pose.y] for pose in self._wanted],
             "driven": [[pose.x, pose.y] for pose in self._driven],
@@ -267,7 +267,7 @@ class ShownStatus:
         self._modes.publish(mode, level, is_connected(self._control))
 
     async def run(self) -> None:
-        """Publish once a second, until cancelled."""
+        """Publish the status once a second, until cancelled."""
         while True:
             self.show(self._control.state.mode)
             await asyncio.sleep(SHOW_PERIOD_S)

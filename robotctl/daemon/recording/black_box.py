@@ -78,7 +78,7 @@ class BlackBox:
         self._ordered = 0
 
     def note(self, event: RecordedEvent) -> None:
-        """Order a clip of `event` if it is a stop or an error, unless a limit is reached."""
+        """Order a clip of `event` if its kind is in `CLIPPED` and clips are on; obey the limits."""
         if event.kind not in CLIPPED or not self.params.clip_before_s:
             return
         if len(self._waiting) >= self._limits.waiting or self._ordered >= self._limits.clips:

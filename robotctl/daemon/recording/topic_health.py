@@ -82,7 +82,7 @@ class TopicWatch:
         return (self._count - self._window[0][1]) / self._window_s
 
     def look(self, now_s: float, count: int, newest_s: float) -> None:
-        """Judge the topic by the `count` of its messages and the time of the newest message."""
+        """Update `trouble` from the `count` of the messages and the time of the newest message."""
         if count != self._count:
             if newest_s - self.newest_s >= self._patience_s:
                 self._begin(newest_s)  # a window that contains the silence would look slow

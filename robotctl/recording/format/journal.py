@@ -20,7 +20,7 @@ MAX_TEXT_BYTES = 256 << 10
 
 
 class EntryKind(IntEnum):
-    """What an entry holds; the numbers are those of JournalEntry.msg."""
+    """The kind of a journal entry; the numbers are those of JournalEntry.msg."""
 
     EVENT = 0
     EFFECT = 1

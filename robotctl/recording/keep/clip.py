@@ -235,7 +235,7 @@ _LOOK_AGAIN_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ClipJob:
-    """What to cut from `source`. Without `target`, the clip goes to the source's clips folder."""
+    """A clip to cut from `source`; if `target` is None, it goes to the clips folder of `source`."""
 
     source: Path
     moment: Moment

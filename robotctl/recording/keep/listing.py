@@ -47,7 +47,7 @@ class CatalogFile:
 
 @dataclass(frozen=True, slots=True)
 class CatalogFolder:
-    """A recording of robotctl: `files` by number, its clips, and whether it is never removed."""
+    """A recording of robotctl: its files by number, and its clips. If `kept`, it is not removed."""
 
     path: Path
     files: tuple[CatalogFile, ...]

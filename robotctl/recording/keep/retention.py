@@ -95,7 +95,7 @@ def withdraw_note(recordings: Path, path: Path) -> None:
 
 
 def noted_removals(recordings: Path) -> Iterator[TidyNote]:
-    """Yield each noted removal whose file is gone, then delete its note. Use under `only_one_in`.
+    """Yield each removal whose file is gone, then delete its note. Call this under `only_one_in`.
 
     The note of a file that still exists stays: its removal is in progress, or was interrupted.
     """

@@ -139,7 +139,7 @@ OF_EACH_FILE: Final = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
 
 
 def topic_of(channel: Channel, type_name: str) -> Topic:
-    """Return the topic, as `metadata.yaml` describes it, of a channel with that message type."""
+    """Return the `metadata.yaml` entry of `channel`, whose messages have the type `type_name`."""
     return Topic(
         name=channel.topic,
         type_name=type_name,

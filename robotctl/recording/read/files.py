@@ -286,7 +286,7 @@ def is_bag(path: Path) -> bool:
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a path is a recording or a folder of recordings, by names and first bytes.
+    """Return whether names and first bytes show that `path` is a recording or a folder of some.
 
     Also True for a damaged recording, and for a path that cannot be examined: the reader then
     reports what is wrong.

@@ -98,7 +98,7 @@ class PlaceReader:
         )
 
     def load(self) -> None:
-        """Read the place; `entries` then has the selected messages in the order of log time.
+        """Read the place, and store the selected messages in `entries`, in the order of log time.
 
         Raises:
             Damaged: A part is damaged; `entries` has the messages before it.

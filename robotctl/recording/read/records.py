@@ -234,7 +234,7 @@ def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, in
 
 
 def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
-    """Yield position and head of each record in a chunk, in lists.
+    """Yield lists that have the position and the head of each record in a chunk.
 
     Raises:
         Damaged: After the last record, if the next one is cut off or malformed.

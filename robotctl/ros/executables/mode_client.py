@@ -24,7 +24,7 @@ ANSWER_S = 30.0
 
 
 def mode_of(text: str) -> Mode:
-    """Return the mode that `text` names: a number 0 to 3, or a name in any case, with - or _.
+    """Return the mode for `text`: a number from 0 to 3, or a name in any case, with "-" or "_".
 
     Raises:
         UsageError: There is no such mode.

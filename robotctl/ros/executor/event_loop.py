@@ -168,7 +168,7 @@ def watch(loop: asyncio.AbstractEventLoop, fd: int, callback: Callable[[], objec
 
 
 def unwatch(loop: asyncio.AbstractEventLoop, fd: int) -> None:
-    """Stop watching `fd`; a closed loop watches nothing, so the call does nothing."""
+    """Stop watching `fd`; do nothing if the loop is closed, because then it watches nothing."""
     if isinstance(loop, EventLoop):
         loop.unwatch(fd)
     elif not loop.is_closed():

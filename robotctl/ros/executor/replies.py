@@ -206,8 +206,8 @@ _REQUESTER: ContextVar[bytes | None] = ContextVar("requester", default=None)
 def requester() -> bytes | None:
     """Return the gid of the client whose request or goal is being handled.
 
-    The gid (16 bytes) is that of the client's reader of responses. None if no handler runs, or if
-    the middleware does not report the gid.
+    The gid (16 bytes) is that of the client's reader of responses. Return None if no handler runs,
+    or if the middleware does not report the gid.
     """
     return _REQUESTER.get()
 

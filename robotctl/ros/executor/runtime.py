@@ -73,7 +73,7 @@ class Pool:
         self._epoll.register(fd, select.EPOLLIN)
 
     def remove(self, fd: int) -> None:
-        """Stop polling what was added with `fd`, which must still be open."""
+        """Stop polling the source that was added with `fd`. The descriptor must still be open."""
         del self._members[fd]
         self._epoll.unregister(fd)
 
@@ -254,7 +254,7 @@ class Runtime:
         )
 
     def pool(self, rest_s: float) -> Pool:
-        """Return the `Pool` that rests for `rest_s` seconds; create it if needed."""
+        """Return the `Pool` whose rest after each poll is `rest_s` seconds; create it if needed."""
         if rest_s not in self._pools:
             self._pools[rest_s] = Pool(self.loop, rest_s)
         return self._pools[rest_s]

@@ -64,7 +64,7 @@ class Source(ABC):
 
     @abstractmethod
     def resume(self) -> None:
-        """Continue to deliver the waiting data: the callback group became free."""
+        """Continue to deliver the waiting data; called when the callback group is free again."""
 
     def blocked(self) -> bool:
         """Return whether the callback group forbids a callback now; if so, `resume` will follow."""

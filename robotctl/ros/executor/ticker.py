@@ -59,7 +59,7 @@ class TimerFd:
             raise _fail("timerfd_create")
 
     def arm_after(self, delay_ns: int) -> None:
-        """Expire once, `delay_ns` from now; at once if the delay is not positive."""
+        """Expire once, `delay_ns` from now, or at once if `delay_ns` is not positive."""
         self._set(0, max(delay_ns, 1), 0)
 
     def arm_periodic(self, first_ns: int, period_ns: int) -> None:

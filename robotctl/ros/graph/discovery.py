@@ -112,7 +112,7 @@ class IntroductionWriter:
         self._writer = _create(node, "rmw_create_publisher", _qos(1), options)
 
     def write(self, data: bytes) -> None:
-        """Announce this process again; `data` is that of its last `Introduction`."""
+        """Announce this process again. `data` is the content of its last `Introduction`."""
         memory = ctypes.create_string_buffer(data, len(data))
         message = rcutils.SerializedMessage(
             buffer=ctypes.addressof(memory),
@@ -256,7 +256,7 @@ class Discovery:
     def is_complete(self, quiet_s: float) -> bool:
         """Return whether all processes are discovered and nothing changed for `quiet_s` seconds.
 
-        False if processes may be on other machines. See `wait`.
+        Always False if processes may be on other machines, because `wait` cannot count those.
         """
         if not is_on_this_machine_only():
             return False

@@ -141,10 +141,10 @@ def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
 
 
 def node_of(node: Node, topic: str, gid: bytes) -> str:
-    """Return the full name of the node whose publisher of a topic has this gid, "" if unknown.
+    """Return the full name of the node that publishes `topic` with this `gid`, "" if unknown.
 
     A message may arrive when its publisher's process is discovered, but the publisher is not yet.
-    So if the publisher is unknown, but its process has only one node, return this node's name.
+    If so, return the name of the process's only node, or "" if the process has several nodes.
     """
     name = publisher_names(node, topic).get(gid, "")
     if name:

@@ -94,8 +94,8 @@ def report_safety_inputs(
 ) -> None:
     """Subscribe on node `_recorder` to each safety input in use.
 
-    Call `on_reading` for each changed value, and at most REPEATS_PER_TIMEOUT times per timeout of
-    the input for an unchanged value.
+    Call `on_reading` for each changed value. Call it for an unchanged value too, but at most
+    REPEATS_PER_TIMEOUT times per timeout of the input.
     """
     for kind in SafetyInput:
         if params.of(kind).use is not Use.OFF:

@@ -142,7 +142,7 @@ class Unrecorded(Sentences):
         self._last_missed = ""
 
     def miss(self, topic: str, type_name: str) -> None:
-        """Count a topic that disappeared before its type was loaded."""
+        """Count and report a topic that disappeared before its type was loaded."""
         self._missed += 1
         self._last_missed = f"{topic} ({type_name}) came and went before it could be recorded"
         self.say(self._last_missed)

@@ -192,7 +192,7 @@ END_DEADLINE_S = 15.0
 
 
 def play_in_process(job: Job, open_screen: Callable[[], AbstractContextManager[Screen]]) -> _Player:
-    """Play a recording in a child process; when the process has ended, return what it reported.
+    """Play a recording in a child process. Return the ended player with the reports of the process.
 
     The first Ctrl-C asks the process to end. The screen opens while the process joins ROS.
 
