@@ -303,9 +303,7 @@ class ServiceCheck:
         unasked, unheard, first = [], [], 0
         pairs: list[tuple[Asked, Call]] = []
         is_part = ending.is_clip or not ending.has_begin
-        begin_ns = (
-            (self._begin_ns or 0) if is_part else 0
-        )  # the requests of earlier calls are before
+        begin_ns = (self._begin_ns or 0) if is_part else 0  # of earlier calls, requests are before
         for call in self._calls:
             if call.was_refused_as_busy or call.publish_ns < begin_ns:
                 continue

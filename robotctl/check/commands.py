@@ -468,9 +468,13 @@ class CommandCheck:
     def _message(self, message: Message) -> None:
         """Read a message of the command topic."""
         self._seen += 1
-        is_compared = self._pairs.is_counting
-        if is_compared and not (self._is_latched and self._repeats.observe(message)):
-            self._pairs.message(message.sequence, message.data, message.publish_ns)
+        if self._is_latched and (
+            # A new file may repeat one that waits to be written: it is recorded after its repeat.
+            message.log_ns < message.publish_ns
+            or (self._pairs.is_counting and self._repeats.observe(message))
+        ):
+            return
+        self._pairs.message(message.sequence, message.data, message.publish_ns)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
         """Start or continue at a snapshot that has a `Proof` (version 0.1.0 wrote none)."""

@@ -256,7 +256,11 @@ class InputPairs:
     def message(self, message: Message, value: Any) -> None:
         """Read a message of the topic."""
         number = message.sequence
-        if number <= self._newest and message.publish_ns > self._sent_ns and not self._hears_all:
+        if (
+            number <= self._newest
+            and message.publish_ns > self._sent_ns
+            and not (self._hears_all and self._paired)
+        ):
             self._has_others = True
         elif number <= self._newest:
             self.repeated += 1

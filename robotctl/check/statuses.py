@@ -149,8 +149,9 @@ class StatusCheck:
         """Check a status; skip the copies of earlier ones, with which each file and clip begins.
 
         If the recorder lags, a copy may precede the status itself, and others before that status.
+        Its log time, that of the file's beginning, is then mostly before its publish time.
         """
-        if not self.is_on:
+        if not self.is_on or message.log_ns < message.publish_ns:
             return
         if self._repeats.observe(message):
             if message.sequence == self._newest:
@@ -224,7 +225,7 @@ class StatusCheck:
             others = self._foreign + len(self._misnamed)
             report.notes.append(f"another node published robot statuses as well: {others} of its")
             self._foreign = others
-        elif wrong := self._wrong + len(self._misnamed) + modes.wrong:
+        elif (wrong := self._wrong + len(self._misnamed) + modes.wrong) and not self._unordered:
             example = self._example or modes.example
             self._accuse(ending, f"{wrong} robot statuses are wrong: {example}")
         has_none = not self._first and moment.log_ns - self._begin_ns > FIRST_NS

@@ -135,8 +135,9 @@ def test_each_file_may_begin_with_a_repeat_of_the_last_command(tmp_path: Path) -
     place = [i for i, each in enumerate(second.messages) if each.topic == COMMANDS][2]
     again = second.messages.pop(place)
     begin_ns = second.messages[0].log_ns
-    second.messages[0:0] = [replace(again, log_ns=begin_ns)]
-    second.messages.insert(place + 1, again)
+    last = [each for each in first.messages if each.topic == COMMANDS][-1]
+    second.messages[0:0] = [replace(each, log_ns=begin_ns) for each in (last, again)]
+    second.messages.insert(place + 2, again)
     folder = write_files(tmp_path / "run", first, second)
     for path in (folder, folder / "run_1.mcap"):
         report = check_recording(path)
@@ -233,6 +234,30 @@ def test_latched_statuses_of_another_node_are_no_gap(tmp_path: Path) -> None:
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
 
 
+def test_a_clip_may_end_before_a_status_that_a_file_began_with(tmp_path: Path) -> None:
+    """A recorder that lags begins a file with the newest status, which waits to be written."""
+    first, second = halves(heard_drive(6.0, snapshots_s=(0.0, 3.0)))
+    newest = [each for each in second.messages if each.topic == STATUS][-1]
+    second.messages[0:0] = [replace(newest, log_ns=second.messages[0].log_ns)]
+    source = write_files(tmp_path / "run", first, second.unclosed())
+    report = checked_clip(tmp_path, source, 1.0, 4.5)
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+def test_the_first_messages_of_a_later_file_may_be_of_two_publishers(tmp_path: Path) -> None:
+    """Their inputs are in the file before."""
+    _, second = halves(heard_drive(4.0, snapshots_s=(0.0, 2.0)))
+    place = next(i for i, each in enumerate(second.messages) if each.topic == ODOMETRY)
+    begin = replace(second.messages[0], topic=ODOMETRY, data=second.messages[place].data)
+    second.messages[1:1] = [
+        replace(begin, sequence=7, publish_ns=begin.log_ns + 1),
+        replace(begin, sequence=1, publish_ns=begin.log_ns + 2),
+    ]
+    folder = write_files(tmp_path / "run", second.unclosed())
+    report = check_recording((folder / "run_0.mcap").rename(folder / "run_1.mcap"))
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
 def test_a_later_file_may_begin_with_calls_of_requests_before_it(tmp_path: Path) -> None:
     events = [asked(1.95, Mode.EMERGENCY_STOP), asked(2.1, Mode.EMERGENCY_STOP)]
     first, second = halves(heard_drive(4.0, snapshots_s=(0.0, 2.0), requests=events))
@@ -251,6 +276,17 @@ def test_another_node_may_overtake_the_numbers_of_our_statuses(tmp_path: Path) -
     ]
     report = check_edited(tmp_path, made.unclosed())
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+def test_a_file_in_which_another_node_comes_first_names_no_wrong_mode(tmp_path: Path) -> None:
+    _, second = halves(heard_drive(5.0, snapshots_s=(0.0, 3.0)))
+    place = next(i for i, each in enumerate(second.messages) if each.topic == STATUS)
+    own = second.messages[place]
+    foreign = [replace(own, data=status(2, 0.5), sequence=number) for number in (1, 2)]
+    second.messages[place : place + 1] = [foreign[0], own, foreign[1]]
+    report = check_edited(tmp_path, second.unclosed())
+    (said,) = (each for each in report.missing if "robot statuses" in each)
+    assert said == "1 robot statuses are out of order, or another node publishes them"
 
 
 def test_the_control_loop_may_hear_reliable_odometry_alone(tmp_path: Path) -> None:
