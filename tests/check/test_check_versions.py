@@ -7,7 +7,6 @@ one.
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import pytest
 from robotctl import __version__
 from robotctl.base import retired
 from robotctl.check.incident import find_incident
-from robotctl.check.report import Report, Verdict
+from robotctl.check.report import Verdict
 from robotctl.check.run import check_recording
 from robotctl.kernel.constants import NS_PER_S
 from robotctl.kernel.modes import Mode
@@ -42,8 +41,8 @@ from tests.support.checked_drives import (
     with_entries,
     with_snapshots,
 )
-from tests.support.edited_recordings import Contents, recorded
-from tests.tampering.edits import check_edited
+from tests.support.edited_recordings import recorded
+from tests.tampering.edits import check_edited, described, with_type_hash
 
 
 def test_a_recording_of_another_version_says_so_and_compares_decisions(tmp_path: Path) -> None:
@@ -192,26 +191,12 @@ ANOTHER = (
 )
 
 
-@cache
-def honest() -> Contents:
-    return recorded(drive_of_3_s())
-
-
-def checked_with(folder: Path, contents: Contents, type_hash: str) -> Report:
-    """Check a recording whose commands have this hash."""
-    channel, schema = next(each for each in contents.types if each[0].topic == "/cmd_vel")
-    metadata = {**channel.metadata, "topic_type_hash": type_hash}
-    other = contents.copy()
-    others = [each for each in contents.types if each[0] is not channel]
-    other.types = [(replace(channel, metadata=metadata), schema), *others]
-    return check_edited(folder, other)
-
-
 @pytest.mark.parametrize(("type_hash", "said"), [(OTHER_HASH, ANOTHER), ("", UNTOLD)])
 def test_a_type_of_another_or_no_version_is_missed(
     tmp_path: Path, type_hash: str, said: str
 ) -> None:
-    report = checked_with(tmp_path, honest(), type_hash)
+    told = described(lambda channel, schema: with_type_hash(channel, schema, type_hash), "/cmd_vel")
+    report = check_edited(tmp_path, recorded(drive_of_3_s()), told)
     assert (report.verdict, report.missing) == (Verdict.INCOMPLETE, [said])
 
 

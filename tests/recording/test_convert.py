@@ -78,6 +78,8 @@ LATCHED = Qos(
     False,
 )
 
+COMPRESS = ZstdCompressor().compress
+
 FORMS = [
     Form(),
     Form(Compression.NONE),
@@ -455,11 +457,7 @@ def test_a_format_without_a_name_we_know_is_told(tmp_path: Path) -> None:
     ]
 
 
-def plainly(content: bytes) -> bytes:
-    return ZstdCompressor().compress(content)
-
-
-def packed(folder: Path, content: Callable[[bytes], bytes] = plainly) -> Path:
+def packed(folder: Path, content: Callable[[bytes], bytes] = COMPRESS) -> Path:
     """Write a bag whose only file is compressed as a whole."""
     folder.mkdir()
     plain = write_bag(folder / "bag_0.mcap", LINES, chunk_bytes=1000)

@@ -48,16 +48,6 @@ def engine_of(executor: AsyncioExecutor) -> Engine:
     return executor._engine
 
 
-def sources_of(executor: AsyncioExecutor) -> dict[Any, Any]:
-    """Return its sources, by entity; what a source has depends on its kind."""
-    return engine_of(executor).sources
-
-
-def runtime_of(executor: AsyncioExecutor) -> Runtime:
-    """Return the state that its sources share."""
-    return engine_of(executor).runtime
-
-
 class Heard(list[int]):
     """The numbers that an entity has delivered."""
 
@@ -78,12 +68,12 @@ class Bench(Node):
     @property
     def sources(self) -> dict[Any, Any]:
         """The sources of its executor."""
-        return sources_of(self.opened)
+        return engine_of(self.opened).sources
 
     @property
     def runtime(self) -> Runtime:
         """The state that the sources of its executor share."""
-        return runtime_of(self.opened)
+        return engine_of(self.opened).runtime
 
     def listen(
         self, callback: Callable[..., object], topic: str = "", depth: int = 10, **options: Any

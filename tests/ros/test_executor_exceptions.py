@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool
 from robotctl.ros import AsyncioExecutor, RawTap
 from robotctl.ros.executor import RclCallFailed
 from tests.ros.conftest import Peer
-from tests.ros.open_executor import Bench, Node, opened, populate, sources_of
+from tests.ros.open_executor import Bench, Node, engine_of, opened, populate
 from tests.support.waiting import DEADLINE_S
 from tests.support.waiting import loop_until as until
 
@@ -143,7 +143,7 @@ async def test_a_failing_take_is_reported_and_tried_again_later(
     got, tapped = node.hear(), node.tap(depth=10)
     async with opened(node, lambda error, where: told.append(str(error))) as executor:
         await asyncio.sleep(0)
-        sources: Any = sources_of(executor)
+        sources: Any = engine_of(executor).sources
         takers = {each: sources[each]._taker for each in (got.entity, tapped.entity)}
 
         def fail(*_: Any) -> None:
@@ -203,7 +203,9 @@ async def test_a_destroyed_node_leaves_the_executor(
     await asyncio.sleep(0.01)
     short_lived.destroy_node()
     await until(lambda: short_lived not in executor.get_nodes())
-    assert not [source for source in sources_of(executor).values() if "short_lived" in source.where]
+    assert not [
+        source for source in engine_of(executor).sources.values() if "short_lived" in source.where
+    ]
 
 
 async def test_a_closed_executor_says_that_it_is_closed(node: Bench) -> None:
