@@ -284,9 +284,9 @@ def test_a_file_in_which_another_node_comes_first_names_no_wrong_mode(tmp_path: 
     own = second.messages[place]
     foreign = [replace(own, data=status(2, 0.5), sequence=number) for number in (1, 2)]
     second.messages[place : place + 1] = [foreign[0], own, foreign[1]]
-    report = check_edited(tmp_path, second.unclosed())
-    (said,) = (each for each in report.missing if "robot statuses" in each)
-    assert said == "1 robot statuses are out of order, or another node publishes them"
+    folder = write_files(tmp_path / "run", second.unclosed())
+    report = check_recording((folder / "run_0.mcap").rename(folder / "run_1.mcap"))
+    assert report.missing == ["1 robot statuses are out of order, or another node publishes them"]
 
 
 def test_the_control_loop_may_hear_reliable_odometry_alone(tmp_path: Path) -> None:
