@@ -201,11 +201,11 @@ class _Line:
 
 
 def measured(trial: Trial) -> Measured:
-    """Return the properties of a base from its trial: two straight motions and a turn on the spot.
+    """Return the properties of a base, measured in `trial`: two straight motions, then a turn.
 
     Raises:
-        Refused: The trial has other motions or too few samples; the base did not move, did not
-            stop, or turned in the wrong direction.
+        Refused: The trial does not have these three motions or has too few samples; or the base
+            did not move, did not stop, or turned in the wrong direction.
     """
     kinds = [(motion.is_turn, motion.held.quiet_s > 0.0) for motion in trial.motions]
     if kinds != [(False, False), (False, True), (True, False)]:

@@ -75,7 +75,7 @@ def warning(check: str, text: str, cure: str) -> Finding:
 
 
 def fault(check: str, text: str, cure: str) -> Finding:
-    """Return the finding that something does not work."""
+    """Return the finding that `check` failed; `text` says why, `cure` what to do."""
     return Finding(check, Level.FAULT, text, cure)
 
 

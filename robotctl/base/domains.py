@@ -61,7 +61,7 @@ def discovery_range() -> str:
 def wider_discovery() -> str:
     """Return the setting that makes this process discover other machines, or "" if none does.
 
-    Unless the range is OFF, static peers and a discovery server are such settings as well.
+    Static peers and a discovery server do so too, unless ROS_AUTOMATIC_DISCOVERY_RANGE is OFF.
     """
     if discovery_range() == "OFF":
         return ""

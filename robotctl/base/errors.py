@@ -153,7 +153,7 @@ _KINDS = (
 def error_for_exit_code(
     exit_code: int, text: str, details: Mapping[str, Any] | None = None
 ) -> RobotctlError:
-    """Return the error that another process sent as exit code, text and `details()`.
+    """Return the error that another process sent; `details` is the result of its `details()`.
 
     Details of an unknown form, for example from another version, are ignored.
     """

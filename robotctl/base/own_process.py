@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 def open_standard_streams() -> None:
     """Open /dev/null in place of each standard stream that is closed.
 
-    Without it, the next socket or file would get descriptor 0, 1 or 2, and receive the output.
+    Otherwise the next socket or file would get descriptor 0, 1 or 2, and receive the output.
     """
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(descriptor, True)

@@ -157,7 +157,7 @@ class OtherPublishers:
         self.step(CommandPublishersSeen(t_ns, health.foreign_publishers))
 
     def step(self, event: Event) -> None:
-        """Note other publishers that an event reports."""
+        """If `event` reports other publishers, note when they were present."""
         is_there = bool(self._seen) and self._seen[-1][1] == inf
         if isinstance(event, ForeignCommandHeard) and not is_there:
             self._seen.append((event.t_ns, event.t_ns))

@@ -289,7 +289,7 @@ class Rerun:
         return snapshot, self._divergence(entry, mine, kernel.state if kernel else None)
 
     def step(self, step: Step) -> Decided:
-        """Decide on the event of a step again, and compare the effects.
+        """Pass the event of `step` to the kernel; compare its effects with the recorded ones.
 
         Raises:
             UnreadableFile: The entry is not an event of this version.
@@ -357,7 +357,7 @@ class Rerun:
 
 
 def first_divergence(entries: Iterable[JournalEntry]) -> Divergence | None:
-    """Return the first divergence of a new kernel from the journal, None if there is none.
+    """Return the first divergence of a new kernel from the journal; None if they agree.
 
     Entries before the first snapshot are skipped. The last event may lack effects, as after a kill.
 

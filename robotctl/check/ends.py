@@ -265,7 +265,7 @@ class RecordingEnds:
             report.miss(sentence, is_outside=True)
 
     def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
-        """Note a snapshot; return the `seq` of the previous one, 0 if none or without a proof."""
+        """Note a snapshot; return the `seq` of the previous one, 0 if absent or without proof."""
         before = max(self._last_snapshot, 0)
         self._last_snapshot = entry.seq if snapshot.proof is not None else -1
         reported = snapshot.state.health.reported

@@ -110,7 +110,7 @@ class ShownModes:
 
 
 class StatusCheck:
-    """Compares the statuses with the modes in the journal, from a snapshot with a `Proof` on."""
+    """Compares statuses with the modes in the journal; begins at a snapshot that has a `Proof`."""
 
     def __init__(self, report: Report, topics: RobotTopics, clock: ClockChanges) -> None:
         self._name, self._is_told = topics.told("topic.robot_status")

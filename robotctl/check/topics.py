@@ -26,7 +26,7 @@ MAX_TEXT: Final = 100_000
 
 
 class InputTopic(NamedTuple):
-    """The full name and type of a recorded topic; None and "" if the topic is not recorded.
+    """The full name and type of an input's topic; if it is not recorded, `name` is None.
 
     `is_left_out` says that the recorder was configured to omit the topic.
     """
@@ -37,7 +37,7 @@ class InputTopic(NamedTuple):
 
 
 def number_in(values: Mapping[str, str], key: str, default: float) -> float:
-    """Return a parameter from the metadata, or `default` if it is not a number."""
+    """Return the number under `key`, or `default` if there is no finite number."""
     with suppress(KeyError, ValueError):
         value = float(values[key])
         return value if isfinite(value) else default

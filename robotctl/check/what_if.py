@@ -85,9 +85,9 @@ def changed(config: Config, settings: Settings) -> Config:
 
 
 def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
-    """Return the configuration with the recorded parameters of the simulated robot.
+    """Return `config` with the recorded parameters of the simulated robot, and the rejected keys.
 
-    The second value lists the recorded keys that are unknown or not allowed in this version.
+    A recorded key is rejected if it is unknown, or its value not allowed, in this version.
     """
     unknown = []
     for name, value in info.metadata.get(INFO_RECORD, {}).items():

@@ -122,7 +122,7 @@ def span(duration_ns: int) -> str:
 
 
 def driven(report: DriveReport, drive: Drive | None) -> str:
-    """Describe how far a drive has come, and how far off its path (a held velocity has no path)."""
+    """Describe the distance of a drive and, unless it held a velocity, its tracking errors."""
     laps = f"{report.laps} lap{'' if report.laps == 1 else 's'} and {report.distance_m:.2f} m"
     if drive is not None and drive.course.held is not None:
         return laps
@@ -153,10 +153,10 @@ _SILENT = "a silence is zero at once, and ends the motion"
 
 @dataclass(frozen=True, slots=True)
 class Why:
-    """The explanation of an incident; a field is empty if there is nothing to say.
+    """The explanation of an incident: what happened, advice to the operator, the input, the facts
+    known to the kernel, the rule, who requested the motion, the effects, and what followed.
 
-    In order: what happened, advice to the operator (robotctl 0.1.0 recorded it within `what`),
-    input, facts known to the kernel, rule, who requested the motion, effects, what followed.
+    An unknown part is empty. In a recording of 0.1.0, `what` includes the advice.
     """
 
     what: str

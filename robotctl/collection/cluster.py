@@ -72,8 +72,8 @@ class Cluster:
         """Yield an answer for each recording; if the scheduler restarts, send lost jobs again.
 
         Raises:
-            Refused: There is no scheduler or no worker for too long, or a worker has a different
-                robotctl, or does not see the recordings or the stored results.
+            Refused: The scheduler or all workers are absent for too long; or a worker has another
+                version of robotctl, or cannot see the recordings or the stored results.
         """
         left = dict.fromkeys(recordings)
         connect_s = self._connect_s

@@ -37,9 +37,9 @@ FORMAT: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """An accepted result; `recording` is its hash, `settings` are the parameters that were tried.
+    """An accepted result of the recording `name`, which has the hash `recording`.
 
-    `outcome` is the hash over all findings; `verdict` and `says` are the result in words.
+    The parameters `settings` were tried; `outcome` is the hash over all findings of the check.
     """
 
     name: str

@@ -62,9 +62,9 @@ _DIGEST = "digest"
 def rows_of(
     path: Path, check: str, check_says: str | None, verify: str, files: Sequence[Path] = ()
 ) -> list[IndexRow]:
-    """Return the index rows of a recording; the first has `check`, `check_says` and `verify`.
+    """Return the index rows of a recording; the first row gets `check`, `check_says` and `verify`.
 
-    If `files` is not empty, only these files of the recording's folder are read.
+    `files` are the files of the folder to read; all are read if it is empty.
 
     Raises:
         UnreadableFile: Nothing can be read from the recording.

@@ -54,7 +54,7 @@ _CURE: Final = "write it like: laps >= 1 and max_error_m > 0.1"
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """A condition in SQL, and the values of its parameters in their order."""
+    """A condition in SQL, and the values of its placeholders, in order."""
 
     sql: str
     values: tuple[Any, ...]
@@ -201,7 +201,7 @@ def find(
 
 
 def ask(catalogue: Catalogue, sql: str) -> Answer:
-    """Return the answer to a user's SQL query over `TABLES` and `SAMPLES`; it can only read.
+    """Run a user's read-only SQL query over `TABLES` and `SAMPLES`, and return the answer.
 
     Raises:
         UsageError: The query is wrong, or does more than read.

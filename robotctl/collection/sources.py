@@ -67,7 +67,7 @@ class WrongContent(Divergence):
 
 @dataclass(frozen=True, slots=True)
 class LocalFile:
-    """A file of this computer; `key` is its path in the copy."""
+    """A local file to copy to a store; `key` is the key of the copy."""
 
     key: str
     path: Path
@@ -128,7 +128,7 @@ class StoredFile:
         return self.found.modified_ns
 
     def with_stamp(self) -> StoredFile:
-        """Ask the store for hash ("" if unknown) and mtime of the object; return a file with both.
+        """Return a copy with the object's hash and mtime from the store; an unknown hash is "".
 
         Raises:
             StoreError: The store fails, or the object does not exist any more.

@@ -222,7 +222,7 @@ class Driver:
         return self._control.state.mode.name
 
     async def stop_robot(self) -> None:
-        """Send a last zero, and wait until it is recorded; an exception is only logged."""
+        """Command zero velocity, and wait until that is recorded; an exception is only logged."""
         try:
             send_zero(self._control, self._velocity)
             await last_zero_arrived(self._velocity, self._modes, self.recorder.received)

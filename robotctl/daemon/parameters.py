@@ -106,7 +106,7 @@ def listed(config: Config) -> list[ParameterAnswer]:
 
 
 def serve_parameters(session: Session, parameters: Parameters, robot: str) -> None:
-    """Give each visible node its parameters and services; errors suggest commands for `robot`."""
+    """Serve the ROS parameters of each visible node; errors suggest commands for `robot`."""
 
     def ask(settings: Sequence[Setting], source: str) -> str:
         try:
@@ -133,7 +133,7 @@ def _served_by(key: str, nodes: Container[str]) -> str:
 
 
 def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
-    """Return a table with the method `param_list`; `config()` is the present configuration."""
+    """Return {name: method} for `param_list`; `config()` returns the present configuration."""
 
     async def get_list(_: NoParams) -> ParameterList:
         return {"parameters": listed(config())}

@@ -330,9 +330,9 @@ class LogContent:
 def read_log(folder: Path) -> LogContent:
     """Return the content of the journal in `folder`.
 
-    A line that a kill or a full disk has torn causes a note. Entries that were changed, or removed
-    from the end, are not found here: compare the digests in each line of `opened` with its
-    `before`, and the digests in recordings with `heads`.
+    A line torn by a kill or a full disk causes a note. This function does not find entries that
+    were changed or removed from the end. To find them, compare the digests in each line of
+    `opened` with the `before` of that line, and the digests in recordings with `heads`.
     """
     log = LogContent(files_of(folder))
     numbers = [_number_of(path) for path in log.files]

@@ -129,6 +129,6 @@ _CURES: Final = {
 
 
 def cure_of(remedy: Remedy, robot: str) -> str:
-    """Return the words that tell the operator of `robot` what to do, with complete commands."""
+    """Return `remedy` as advice to the operator, with complete commands for `robot`."""
     commands = {name: command_for(robot, words) for name, words in _COMMANDS.items()}
     return _CURES[remedy].format_map(commands)

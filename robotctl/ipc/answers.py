@@ -64,7 +64,7 @@ class DriveAnswer(ModeAnswer, DriveFigures):
 
 
 class HoldAnswer(ModeAnswer):
-    """The answer of `hold`; from the second request on, `message` is the reason for the mode."""
+    """The answer of `hold`. After the first request, `message` is the reason for the mode."""
 
     hold: int
     """The number of the held motion, for the next request; 0: the motion has ended."""

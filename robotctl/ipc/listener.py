@@ -192,9 +192,9 @@ class Listener:
     async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
         """Wait for the next client and return its socket.
 
-        If the process has no free descriptor, close the reserved descriptor. If that is closed
-        already, call `make_room`, which returns whether it could close a connection. Try again
-        until a descriptor is free.
+        If the process has no free descriptor, the reserved one is closed. If none is reserved,
+        `make_room` is called; it closes a connection and returns True, or returns False. Both are
+        repeated until a descriptor is free.
         """
         self._keep_spare()
         while True:

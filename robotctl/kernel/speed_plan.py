@@ -113,7 +113,7 @@ _last_plan: list[tuple[Path, float, VelocityLimits, tuple[Leg, ...]]] = []
 
 
 def path_for(pattern: Pattern, course: Course, laps: int) -> Path:
-    """Return the path of one lap, cached; unless `laps` is 1, a lap of waypoints is closed."""
+    """Return the path of one lap, cached; if `laps` is not 1, a path of waypoints is closed."""
     again = laps != 1
     for known_pattern, known_course, known_again, path in _last_path:
         if known_pattern is pattern and known_course is course and known_again is again:

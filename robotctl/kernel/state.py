@@ -133,7 +133,7 @@ class Guarded:
     t_ns: int | None = None
 
     def wanted(self, t_ns: int, timeout_s: float) -> Twist | None:
-        """Return the last requested velocity, None if there is none, or it is old or not finite."""
+        """Return the last requested velocity; None if it is absent, too old or not finite."""
         if self.t_ns is None or abs(t_ns - self.t_ns) / NS_PER_S > timeout_s:
             return None
         twist = self.twist
@@ -180,14 +180,14 @@ FULLEST_LEVEL = 1.05
 
 
 def counts_in_percent(raw: float, before: bool, scale: BatteryScale) -> bool:
-    """Return whether the gauge that reports `raw` uses percent; `before` is the previous result."""
+    """Return whether the level `raw` is in percent; `before` is the result for the last level."""
     if scale is BatteryScale.AUTO:
         return before or FULLEST_LEVEL < raw <= 100.0 * FULLEST_LEVEL
     return scale is BatteryScale.PERCENT
 
 
 def level_of(raw: float, in_percent: bool) -> float:
-    """Return the battery level, 0 to 1 if the gauge works."""
+    """Return the battery level that the gauge reports as `raw`; 1 is full."""
     return raw / 100.0 if in_percent else raw
 
 

@@ -343,7 +343,7 @@ class CommandListenersSeen:
 
 @dataclass(frozen=True, slots=True)
 class GuardedCommandReceived:
-    """The velocity that another node wants in a motion that it steers; unchecked, even NaN.
+    """A velocity from another node that steers the motion; it is unchecked and may be NaN.
 
     `publisher` and `sequence` are as in `BatteryReceived`.
     """
@@ -461,7 +461,7 @@ class PublishTwist:
 
 @dataclass(frozen=True, slots=True)
 class ModeChanged:
-    """The mode changed; `cause` is why the new mode is ERROR or EMERGENCY_STOP, else None."""
+    """The mode changed; `cause` is None unless the new mode is ERROR or EMERGENCY_STOP."""
 
     previous: Mode
     mode: Mode
@@ -495,12 +495,12 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class DriveReport:
-    """How well a drive followed its path, by odometry.
+    """The length and the tracking errors of a drive, by odometry.
 
-    `closure_m` is how far the robot was from the end of the path when the last complete lap ended,
-    NaN before that. The heading errors are relative to the reference. A held velocity has no path:
-    its four errors are 0, because nothing is measured; `without_errors` replaces them by NaN. In
-    reports of older versions, the last three fields are NaN.
+    `closure_m` is the distance from the end of the path when the last complete lap ended; it is NaN
+    before the first such end. The heading errors are relative to the reference. A held velocity has
+    no path, so its four errors are 0; `without_errors` replaces them by NaN. In reports of older
+    versions, the last three fields are NaN.
     """
 
     laps: int

@@ -168,8 +168,8 @@ def short_type(type_name: str) -> str:
 def ros2msg(texts: Mapping[str, str]) -> str:
     """Return the text of a type and its dependencies in the form of rosbag2.
 
-    `texts` has the .msg text of each type by `pkg/T`. The type's own text comes first; each other
-    one follows after a line of 80 "=" and a line `MSG: pkg/T`.
+    `texts` maps `pkg/T` to its .msg text, the type itself first. In the result, each dependency
+    follows a line of 80 "=" and a line `MSG: pkg/T`.
     """
     (_, own), *others = texts.items()
     parts = [own, *(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)]

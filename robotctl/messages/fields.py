@@ -66,7 +66,7 @@ class FieldPath:
 
 
 def path_text(steps: Steps) -> str:
-    """Return the path of these steps as text, such as `a.b[0].c`."""
+    """Return the path made of `steps` as text, such as `a.b[0].c`."""
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)[1:]
 
 

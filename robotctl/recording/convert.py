@@ -399,7 +399,7 @@ class OutputFile:
         self._channels = 0
 
     def is_full(self, limit: int | None) -> bool:
-        """Return whether the file has messages, and at least `limit` bytes; None means no limit."""
+        """Return whether the file has messages and reaches `limit` bytes; False without a limit."""
         return limit is not None and bool(self._mcap.summary.counts) and self._mcap.size >= limit
 
     def write(self, messages: Sequence[PlainMessage]) -> None:

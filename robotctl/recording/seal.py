@@ -75,7 +75,7 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
 
 
 def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
-    """Return what a file's key signs first: `opening`, and `digests` of the decisions' journal."""
+    """Return the data of a key's first signature; `digests` are of the decisions' journal."""
     return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
 
 
@@ -149,7 +149,7 @@ class Keyring:
         return stored
 
     def open_file(self, file: str) -> SealOfFile:
-        """Create a key for a new file, and return its seal; overwrite the previous file's key.
+        """Return the seal of a new file; its new key replaces the stored key of the last file.
 
         Raises:
             OSError, ValueError: The keys cannot be read or written, so the file gets no seal.

@@ -23,9 +23,9 @@ _ENCODING = "cdr"
 
 
 def choose_topic(info: RecordingInfo, name: str, type_name: str, *, listing: str) -> TopicInfo:
-    """Return the topic `name` (the leading / is optional) of `type_name` (of any type if "").
+    """Return the topic `name` of `type_name`; "" stands for any type.
 
-    `listing` is the command that lists the topics, for the error message.
+    The leading / of `name` is optional. The error suggests `listing`, which lists the topics.
 
     Raises:
         UsageError: The recording has no such topic, or the topic has several types.

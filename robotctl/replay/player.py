@@ -101,7 +101,7 @@ class Lateness:
             self.max_ns = late_ns
 
     def quantile_us(self, share: float) -> float:
-        """Return the delay [us] that `share` (0 to 1) of all delays do not exceed; 0 if none."""
+        """Return the quantile [us] of all delays at `share` (0 to 1); 0 if there are no delays."""
         rank = share * self.count
         seen = 0
         for step, count in enumerate(self._counts):

@@ -164,7 +164,7 @@ def playable(
 def open_routes(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> tuple[list[Route], dict[str, Send]]:
-    """Open each route, or report it as skipped; return the open routes, and each topic's `Send`."""
+    """Return the routes that could be opened, and `Send` by topic; `report` gets the others."""
     opened: list[Route] = []
     sends: dict[str, Send] = {}
     for route in routes:

@@ -106,10 +106,10 @@ class Membership:
         self.discovery = Discovery(self.node, domain_id)
 
     def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
-        """Wait until `is_known()` is true, and return True; return False if the wait ends earlier.
+        """Wait until `is_known()` is true; return whether it became true in time.
 
         The wait ends SETTLE_S after the domain was joined, or as soon as discovery is complete or
-        there is no other process. If `expected` is true, it ends only after EXPECTED_S.
+        there is no other process. If `expected`, only the limit EXPECTED_S ends the wait.
 
         Raises:
             asyncio.CancelledError: Stdin was closed: the command has ended.

@@ -33,7 +33,7 @@ Sample = tuple[float, float]
 
 
 class SeriesColumn(NamedTuple):
-    """The values in one column of a plot: first and last with their times, least and largest."""
+    """One column of a plot: its first, least, largest and last value; times of first and last."""
 
     begin_s: float
     first: float

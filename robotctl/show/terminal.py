@@ -90,7 +90,7 @@ def ground_lines(figure: Figure, *, rows: int = 18, colour: bool = False) -> lis
 def time_lines(
     figure: Figure, *, width: int, rows: int, colour: bool, ascii_only: bool
 ) -> Iterator[str]:
-    """Yield the figure in `rows` lines, and a line for the time axis; nothing without values."""
+    """Yield the figure in `rows` lines, then the time axis; an empty figure yields nothing."""
     if not figure.lines:
         return
     across = max(width - LABEL - 1, 10)

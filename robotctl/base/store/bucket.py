@@ -215,7 +215,7 @@ class RemoteStore:
         return self._put(key, chain((begin,), rest), stamp)
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
-        """Store an object from parts of any length; replace an object with that key."""
+        """Store `parts`, of any length, as the object `key`; an existing object is replaced."""
         begin, rest = _beginning(parts)
         self._put(key, begin if len(begin) <= PART_BYTES else chain((begin,), rest), stamp)
 

@@ -95,10 +95,10 @@ def write_picture(
 def drive_and_wait(
     robot: str, method: MethodName[DriveAnswer], params: dict[str, Any], *, as_json: bool
 ) -> dict[str, Any]:
-    """Request a drive, wait until it ends, and return the daemon's answer with the key `picture`.
+    """Request a drive, wait until it ends, and return the daemon's answer.
 
-    On a terminal, the drive is shown live, unless `as_json`. If the drive was stopped, the lines of
-    `tracking_lines` are printed before the error is raised.
+    The answer gets the key `picture`: the path of the drive's picture, or None. On a terminal, the
+    drive is shown live, unless `as_json`. If it was stopped, its result is printed before an error.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the drive; the robot stands.

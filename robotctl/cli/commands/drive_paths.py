@@ -218,10 +218,10 @@ def heard_path(robot: str, topic: str) -> tuple[str, list[list[float]], Frame]:
 def path_in(
     definition: Definition, data: bytes, frames: Mapping[str, Frame], name: str
 ) -> tuple[list[list[float]], Frame]:
-    """Return points [m] and frame of a serialized path; `frames` maps each frame_id to a frame.
+    """Return the points [m] and the frame of the path in `data`; `frames` has each by frame_id.
 
     Raises:
-        Refused: The message holds no path, too many points, or is in a frame not in `frames`.
+        Refused: The message is unreadable or in another frame, or its points are not allowed.
     """
     shown = printable(name)
     if len(data) > MAX_MESSAGE_BYTES:

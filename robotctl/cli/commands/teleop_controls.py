@@ -72,14 +72,14 @@ def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
 
 
 class HandsWithReleases:
-    """The held keys of a terminal that reports releases: each is held from press to release.
+    """Keys held in a terminal that reports releases; a key is held from press to release.
 
-    A release may be lost: in a multiplexer, or when the window loses the focus. So all keys count
-    as let go if no key repeats any more. A terminal repeats only the key that was pressed last, and
-    no key after its release. Text does not count as a press: no release would follow.
+    A release may be lost, in a multiplexer or when the window loses the focus. So all keys count
+    as released when no key repeats any more. A terminal repeats only the key that was pressed last,
+    and no key after its release. Text does not count as a press, because no release would follow.
 
-    `take` returns the wanted motion again with each ANSWER of the terminal: a terminal that is dead
-    sends none, and the robot stops.
+    `take` returns the wanted motion again with each ANSWER of the terminal. A dead terminal sends
+    no ANSWER, so the robot stops.
     """
 
     def __init__(self) -> None:
@@ -123,10 +123,10 @@ class HandsWithReleases:
 
 
 class HandsWithoutReleases:
-    """The held keys of a terminal that sends a held key again and again, and no release.
+    """Keys held in a terminal that repeats a held key and reports no release.
 
     The first press of a key moves nothing, because the key may not be held. After pasted text, no
-    key counts until all keys have been silent for REPEAT_S.
+    key counts until all steering keys have been silent for REPEAT_S.
     """
 
     def __init__(self) -> None:
@@ -136,7 +136,7 @@ class HandsWithoutReleases:
         self._is_forgotten = False
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the motion of the last steering key in `keys`; None unless that key repeats."""
+        """Return the motion of the last steering key in `keys`, or None if it is no repeat."""
         names = [key.name for key in keys if key.name in STEERING]
         is_pasted = len(keys) > MAX_AT_ONCE
         if not (names or is_pasted):
@@ -163,7 +163,7 @@ SILENT_S: Final = 1.0
 
 
 class Controls(NamedTuple):
-    """The indices in Joy of the button that must be held, and of the axes forward and left."""
+    """Indices in a Joy message: the button that must be held, the forward and the left axis."""
 
     button: int = 4
     forward_axis: int = 1
@@ -202,7 +202,7 @@ class Gamepad:
         return self._listener.fileno()
 
     def forget(self) -> None:
-        """Let go: the button must be released before it counts again."""
+        """Ignore the button until it has been released."""
         self._is_forgotten = True
 
     def take(self) -> Wish | None:
@@ -318,7 +318,7 @@ class Holding:
         return self._number != 0
 
     def want(self, velocity: tuple[float, float]) -> bool:
-        """Request a motion at `velocity` [m/s, rad/s]; return False if it is refused or over."""
+        """Request a motion at `velocity` [m/s, rad/s]; return False if refused or if it ended."""
         now_s = time.monotonic()
         if self.silence_lets_go and now_s - self._sent_s >= MAX_SILENCE_S:
             self._number = 0

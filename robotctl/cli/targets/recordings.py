@@ -214,12 +214,12 @@ def robot_of(recording: Path) -> str | None:
 
 
 def noted_folders(robot: str | None) -> Iterator[Path]:
-    """Yield the folder in which the last daemon of `robot` recorded, as the daemon noted it.
+    """Yield the folder in which the last daemon of `robot` recorded, if the daemon left a note.
 
-    If `robot` is None, yield such a folder for each robot, the most recently noted first.
+    If `robot` is None, yield the folders of all robots, the one with the newest note first.
 
     Raises:
-        UsageError: Another user could have changed a file with such a note.
+        UsageError: Another user could have changed a note.
     """
     note = recordings_note_path(robot or DEFAULT_ROBOT)
     notes = [note]
@@ -306,10 +306,10 @@ MAX_SECONDS = 366 * DAY_S
 
 
 def parse_moment(text: str, start_ns: int, end_ns: int, option: str = "--at") -> int:
-    """Return a time in a recording from `start_ns` to `end_ns`, as nanoseconds since the epoch.
+    """Return the time that `text` names, as nanoseconds since the epoch.
 
-    A time of day is on the day on which the recording begins; or on the next day, if only then it
-    lies within the recording. `option` is named in the error.
+    The recording lasts from `start_ns` to `end_ns`. A time of day is on its first day, or on the
+    next day if that alone puts it inside the recording. The error names `option`.
 
     Raises:
         UsageError: The text is not a time.

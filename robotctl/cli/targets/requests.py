@@ -55,7 +55,7 @@ def checked_reason(reason: str) -> str:
 
 
 def lease_of_shell() -> dict[str, str]:
-    """Return the lease token in ROBOTCTL_LEASE as a request's parameter, {} if it is not set.
+    """Return the parameter `lease` of a request, from ROBOTCTL_LEASE; {} if that is not set.
 
     Raises:
         UsageError: The text cannot be a token: its length is wrong.

@@ -79,10 +79,10 @@ def _look(robot: str) -> RobotDaemon | None:
 
 
 def stop_all(params: dict[str, str]) -> tuple[list[dict[str, Any]], RobotctlError | None]:
-    """Latch the emergency stop of all robots in parallel; return results and first failure or None.
+    """Latch the emergency stop of all robots in parallel; return all results and the first error.
 
-    A result has `robot`, `ok`, and `message`: the daemon's answer, or why the stop failed. A robot
-    without a daemon is left out.
+    A result has the keys `robot`, `ok` and `message` (the daemon's answer, or why the stop failed).
+    A robot without a daemon is left out. The error is None if no stop failed.
 
     Raises:
         NoDaemon: There is no daemon.

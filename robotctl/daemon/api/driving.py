@@ -82,7 +82,7 @@ def shape_size_m(params: DriveParams) -> float | None:
 
 
 def shape_course(params: DriveParams) -> Course:
-    """Return how to drive the pattern: corner radius, angle, reverse and open loop, or defaults.
+    """Return the `Course` for the pattern in `params`; values that are not given take defaults.
 
     Raises:
         UsageError: A corner radius or an angle was given, but the pattern has none.

@@ -102,10 +102,10 @@ class Gate(Protocol):
 class Watchdog:
     """Watches the ticks in a thread, from the first `ping` to the end of the `with` block.
 
-    When the ticks stop, the thread closes `gate` and sends zeros by it until the loop calls `take`.
-    Until the first zero is sent, it opens no file, imports no module, logs nothing, and acquires
-    no lock but the publisher's, for which it waits at most `LOCK_TIMEOUT_S`. A C call that holds
-    the GIL blocks this thread as well: then only the robot's own command timeout stops the robot.
+    When the ticks stop, the thread closes `gate` and sends zeros until the loop calls `take`.
+    Before the first zero is sent, the thread opens no file, imports no module and logs nothing. It
+    acquires only the publisher's lock, and waits at most `LOCK_TIMEOUT_S` for it. A C call that
+    holds the GIL blocks this thread too: then only the robot's own command timeout stops the robot.
     """
 
     def __init__(
@@ -153,9 +153,9 @@ class Watchdog:
             self._thread.start()
 
     def take(self) -> LoopStalled | FaultReported | None:
-        """Return LoopStalled after a stall (and open `gate`), FaultReported if the thread failed.
+        """Return LoopStalled after a stall, FaultReported if the thread failed, otherwise None.
 
-        Else return None. Call it in the loop's thread; the event must be the kernel's next one.
+        After a stall, `gate` is opened. Call it in the loop's thread, and dispatch the event next.
         """
         if self._holding:
             return self._end_stall()

@@ -113,7 +113,7 @@ class PendingRequests:
         self._replies_now[request_id] = None
 
     def keep_now(self, reply: Reply) -> bool:
-        """Keep the reply if `expect_reply_now` expects it; return whether the reply was kept."""
+        """Keep `reply` if `expect_reply_now` was called for its request; return whether it was."""
         is_expected = reply.request_id in self._replies_now
         if is_expected:
             self._replies_now[reply.request_id] = reply

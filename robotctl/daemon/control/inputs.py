@@ -63,7 +63,7 @@ class ForeignCommands:
         """Time of the last event of each recent publisher [steady ns]."""
 
     def heard(self, gid: bytes) -> None:
-        """Handle a command that was received from the publisher with this gid."""
+        """Dispatch an event for a command of the publisher `gid`, unless it is ours or a repeat."""
         if gid == self._own_gid:
             return
         now_ns = time.monotonic_ns()
@@ -101,7 +101,7 @@ async def watch_graph(
     odometry: OdomSubscriber,
     dispatch: Callable[[Event], None],
 ) -> None:
-    """Dispatch an event when the subscribers or the other publishers of the command topic change.
+    """Dispatch an event when subscribers or foreign publishers of the command topic change.
 
     Also look up the node names of the odometry publishers. Runs until cancelled.
     """

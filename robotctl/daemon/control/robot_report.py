@@ -71,9 +71,9 @@ class GroundTruth:
             self._closure_m = end.distance(pose)
 
     def end(self, ended: DriveEnded) -> None:
-        """Set the true closure (distance from the lap's end) if the drive ended with its last lap.
+        """If the drive ended with a lap, set the true closure, the distance from the lap's end.
 
-        In this case `follow` is not called again, so it has not set the closure.
+        `follow` is not called after the last lap, so it cannot set this closure.
         """
         true, drive = self.truth(), self._drive
         if true is None or drive is None or drive.request_id != ended.request_id:

@@ -100,7 +100,7 @@ class BlackBox:
             await self._came.wait()
 
     async def finish(self) -> None:
-        """Cut the remaining clips of the closed recording; begin none after `end_s` seconds."""
+        """Cut the clips that remain when the recording is closed; after `end_s`, begin no more."""
         until = time.monotonic() + self._limits.end_s
         if self._cutting is not None:
             await asyncio.wait({self._cutting}, timeout=self._limits.end_s)

@@ -168,7 +168,7 @@ class FlightRecorder:
         return self._recorder.stats().failure
 
     def note(self, event: RecordedEvent) -> None:
-        """Add an event to the recording's metadata; cut a clip of a stop or an error."""
+        """Add `event` to the recording's metadata; if it is a stop or an error, order a clip."""
         self._recorder.add_event(event)
         self._black_box.note(event)
 

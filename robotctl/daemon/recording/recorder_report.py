@@ -41,7 +41,7 @@ class RateMeter:
         self._t_ns = 0
 
     def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
-        """Add the present message counts; `t_ns` is the present steady time."""
+        """Compute the rates since the last call; `counts` were read at the steady time `t_ns`."""
         hundredths = 100 * NS_PER_S / (t_ns - self._t_ns)
         self.rates = {
             topic: round((count - self._counts.get(topic, 0)) * hundredths) / 100
@@ -207,7 +207,7 @@ class RecorderReport:
             _log.warning("messages %s", NO_MEMORY)
 
     def diagnosis(self, stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-        """Return what `diagnose` returns, with the robot's name in suggested commands."""
+        """Return the result of `diagnose`; the commands that it suggests name the robot."""
         return diagnose(replace(stats, failure=for_robot(stats.failure, self._robot)), warnings)
 
     def heavy_warnings(self) -> Iterator[tuple[str, str]]:

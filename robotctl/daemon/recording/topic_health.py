@@ -41,7 +41,7 @@ FAST_BOTH: Final = 1.35
 
 
 class Trouble(Enum):
-    """What is wrong with the rate of a topic."""
+    """The problem with the rate of a topic."""
 
     NONE = "as expected"
     SILENT = "silent"
@@ -109,7 +109,7 @@ class TopicWatch:
                 self.restarted_s, self._replaced = since_s, None
 
     def pause(self, now_s: float) -> None:
-        """Begin new windows: the last `look` is too long ago to judge the present ones."""
+        """Begin new windows; call this if `look` was not called in time to judge the old ones."""
         if self.trouble is not Trouble.SILENT:
             self.newest_s = now_s
         self._begin(now_s)
@@ -321,7 +321,7 @@ class TopicHealth:
         learns: bool,
         now_s: float,
     ) -> None:
-        """Watch a channel of a topic; if `learns` and no rate is configured, learn its rate."""
+        """Watch `channel` of the topic `name`; if `learns`, learn a rate that is not configured."""
         self._topic(name, type_name, learns=learns, now_s=now_s).channels.append(channel)
 
     def _topic(self, name: str, type_name: str, *, learns: bool, now_s: float) -> _Topic:

@@ -124,8 +124,8 @@ def _metadata_in(folder: Path) -> Path:
 def entries_of(folder: Path) -> list[Path]:
     """Return the files and folders in the folder of a recording.
 
-    In a copy by an earlier `robotctl sync`, each file is in a subfolder named by its hash. These
-    files are included; if several have the same name, only the newest.
+    In a copy by an earlier `robotctl sync`, each file is in a subfolder named by its hash. Such
+    files are included; of several with the same name, only the newest is.
 
     Raises:
         OSError: A folder cannot be listed.

@@ -153,7 +153,7 @@ class Opening:
 
 @dataclass(frozen=True, slots=True)
 class SealOfFile:
-    """What a writer needs to seal a file: the opening, and a function that signs with its key."""
+    """The opening of a file's seal, and a function that signs bytes with the file's key."""
 
     opening: Opening
     sign: Callable[[bytes], bytes]

@@ -13,7 +13,7 @@ from robotctl.recording.format.names import LEDGER_RECORD
 
 @dataclass(slots=True)
 class MessageCounts:
-    """What happened to messages: received = written + queued + dropped."""
+    """Counts of messages, in which received = written + queued + dropped."""
 
     received: int = 0
     written: int = 0
@@ -87,7 +87,7 @@ def total(counts: Iterable[TopicStats]) -> dict[str, int]:
 
 
 def by_topic(channels: Iterable[TopicStats]) -> list[TopicStats]:
-    """Return one entry per topic and type, in order of appearance: the sum of its channels."""
+    """Return the total counts of each topic and type, in the order of first appearance."""
     groups: dict[tuple[str, str], list[TopicStats]] = {}
     for channel in channels:
         groups.setdefault((channel.name, channel.type_name), []).append(channel)
@@ -105,7 +105,7 @@ _COUNTS = (*COUNTERS, "bytes")
 
 
 def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
-    """Return the loss ledger: the counts of each topic, as the values of a metadata record."""
+    """Return the loss ledger, the values of a metadata record: counts in JSON by topic name."""
     ledger: dict[str, str] = {}
     for stats in by_topic(topics):
         # A topic has a second type if a node publishes one.

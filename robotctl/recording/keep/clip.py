@@ -114,7 +114,7 @@ def cut_clip(
     target: Path,
     on_progress: Progress = lambda done, total: None,
 ) -> Clip:
-    """Write what was recorded in `window` (ns, both ends included) into the new file `target`.
+    """Copy the messages in `window` (ns, both ends included) into the new file `target`.
 
     Raises:
         Refused: Nothing was recorded in the window, or `target` exists or cannot be written. No new

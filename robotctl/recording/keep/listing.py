@@ -210,7 +210,7 @@ def list_recordings(
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Return recordings, and folders that this user may not list, ordered by name; skip links.
+    """Return, by name, all recordings and folders that this user may not list; skip links.
 
     Raises:
         OSError: `folder` cannot be listed.
@@ -225,7 +225,7 @@ def _is_listed(path: Path) -> bool:
 
 
 def list_recording(path: Path) -> ListedRecording:
-    """Return what can be listed about the recording `path`, a folder or a file.
+    """Return the recording in `path`, a folder or a file; damaged parts do not raise.
 
     Raises:
         OSError: `path` does not exist or holds no recording.

@@ -68,11 +68,11 @@ _UNFINISHED = ".repair"
 
 
 def repair(recordings: Path) -> Iterator[TidyNote]:
-    """Repair the recordings below `recordings` that no process is writing; yield a note of each.
+    """Repair the recordings below `recordings` that no process is writing; yield notes about it.
 
     Blocks, because files that were not closed are read completely. A file that was not closed but
-    is complete is marked as checked, so that it is read only once. A torn file is replaced by what
-    can be read of it. If a file cannot be repaired, the note is a problem.
+    is complete is marked as checked, so that it is read only once. A torn file is replaced by its
+    readable part. If a file cannot be repaired, a note with `problem` is yielded.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -242,9 +242,9 @@ class TidyJob:
 
 
 def tidy(job: TidyJob) -> Iterator[TidyNote]:
-    """Report noted removals, remove old files, repair the rest; yield a note of each. Blocks.
+    """Report noted removals, remove old recordings, and repair the others; yield notes about it.
 
-    Waits for other processes that tidy the folder. Files that are being written are not changed.
+    Blocks, also while another process tidies the folder. Open recordings are not changed.
     """
     recordings = job.recordings
     try:

@@ -86,7 +86,7 @@ def _torn_zstd(stored: bytes, size: int) -> bytes:
 
 
 class ChunkHead(NamedTuple):
-    """Where a chunk's data is, and what its record says about it (times in ns)."""
+    """The place of a chunk's data, and the fields of its record (times in ns)."""
 
     data_offset: int
     data_size: int
@@ -233,7 +233,7 @@ def message_compression(metadata: Iterable[Metadata], path: Path) -> str:
 
 
 def without_compression(values: dict[str, str]) -> dict[str, str]:
-    """Return rosbag2's metadata record for a copy in which the messages are not compressed."""
+    """Return `values`, rosbag2's metadata record, changed to say that nothing is compressed."""
     if SERIALIZED_METADATA not in values:
         return values
     text = values[SERIALIZED_METADATA]

@@ -276,7 +276,7 @@ def may_not_be_listed(path: Path) -> bool:
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a folder with MCAP files, or one that this user may not list."""
+    """Return whether `path` is a folder that has MCAP files or that this user may not list."""
     if not path.is_dir():
         return False
     try:

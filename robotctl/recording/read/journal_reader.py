@@ -37,7 +37,7 @@ class EntryDecoder:
         self._text_bytes_left = limits.journal_text_bytes
 
     def decode(self, serialized: bytes) -> JournalEntry:
-        """Return the entry that is the data of a message.
+        """Return the entry in `serialized`, the data of a journal message.
 
         Raises:
             UnreadableFile: The data is not an entry, or the limits are exceeded.

@@ -186,7 +186,7 @@ class Unreadable(Damaged):
 
 
 class BeyondLimit(Damaged):
-    """Reading on would exceed the limits of `read_limits`. The text says how to raise them."""
+    """A file exceeds the limits of `read_limits`. The text says how to raise them."""
 
     def __init__(self, what: str) -> None:
         """Append to `what` how to raise the limits."""

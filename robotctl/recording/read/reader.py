@@ -129,13 +129,13 @@ def read_messages(
     topics: Collection[str] | None = None,
     on_missing: Callable[[str], None] | None = None,
 ) -> Iterator[Message]:
-    """Yield the messages in the order of their log time; only those of `topics`, if given.
+    """Yield the messages of `topics` in the order of log time; None stands for all topics.
 
     `on_missing` gets a sentence about each part that cannot be read.
 
     Raises:
-        UnreadableFile: Nothing can be read. Without `on_missing` also if a part cannot be read;
-            then this is raised after the last message.
+        UnreadableFile: Nothing can be read; or `on_missing` is None and a part cannot be read: it
+            is then raised after the last message.
     """
     missing: list[str] = []
     tell = on_missing or (lambda sentence: note_missing(missing, sentence))
@@ -213,7 +213,7 @@ class Recording:
         return ReadLimits.of(sum(each.file.stored_bytes for each in self._files))
 
     def info(self) -> RecordingInfo:
-        """Return what the recording holds."""
+        """Return a summary of the recording: its files, time span, topics, metadata and events."""
         indexes = [each.index for each in self._files]
         metadata = self.metadata()
         with_messages = [index for index in indexes if index.message_count]
@@ -331,9 +331,9 @@ class Recording:
     def last_before(
         self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
     ) -> list[Message]:
-        """Return the last `wanted[topic]` messages of each topic before a moment, by log time.
+        """Return the last `wanted[topic]` messages of each topic before `moment_ns` (log time).
 
-        Only the parts of the files that may have these messages are read.
+        They are in the order of log time. Only parts of the files that may have them are read.
         """
         found = list(enumerate(place_readers(self._files, wanted, (0, moment_ns - 1))))
         found.sort(key=lambda ranked: ranked[1].place.end_ns, reverse=True)

@@ -56,7 +56,7 @@ class Chain:
 
 
 def check_chain(files: Iterable[WholeFile]) -> Chain:
-    """Compare each file with the one before it in the chain of the same robot."""
+    """Compare each sealed file with its predecessor in the chain; return what was found."""
     chain = Chain()
     by_root: dict[str, list[tuple[Opening, WholeFile]]] = {}
     for file in files:
@@ -110,7 +110,7 @@ def _are_alike(file: WholeFile, other: WholeFile) -> bool:
 
 
 def find_head(files: Iterable[WholeFile], digest: str) -> WholeFile | None:
-    """Return the first file that has a valid link with this digest (in hex), None without one."""
+    """Return the first file that has a valid link with the hex `digest`; None if no file has."""
     return next((file for file in files if file.seal.knows(digest.lower())), None)
 
 
@@ -209,7 +209,7 @@ def verify_recording(
 ) -> VerifiedRecording:
     """Read every byte of a recording, a file or a folder, and check its seals.
 
-    `on_progress` gets bytes done and in total.
+    `on_progress` gets the number of bytes read so far, and the total.
 
     Raises:
         UnreadableFile: `path` holds no MCAP file.

@@ -313,7 +313,7 @@ class BagWriter:
         self._file.begin_seal()
 
     def write_topics(self) -> None:
-        """Write the topics that were added, even if they have no messages yet."""
+        """Write the topics added since the last call, even those that have no messages yet."""
         self._file.write_topics()
 
     def write_event(self, event: RecordedEvent) -> None:
@@ -432,7 +432,7 @@ def begin_bag(
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None] | None,
 ) -> BagWriter:
-    """Create `folder`, and return its BagWriter, which gets the other parameters.
+    """Create `folder` and return a BagWriter for it, made with all parameters.
 
     Raises:
         Refused: The folder cannot be written; if it was created, it is removed again.

@@ -108,7 +108,7 @@ class PackBuffer:
         return result
 
     def drop(self) -> dict[int, int]:
-        """Discard the messages packed since the last take; return their count by channel."""
+        """Discard the messages that were not taken; return the count of messages by channel."""
         end = self.end
         counts = {channel: _entries_below(index, end) for channel, index in enumerate(self.indexes)}
         for channel, count in counts.items():

@@ -73,9 +73,9 @@ LINK_PERIOD_S: Final = 10.0
 
 
 class Sealer(Protocol):
-    """What `FileSeal` needs from a `seal.Keyring`, in the writer thread: keys, a store of links.
+    """The methods of `seal.Keyring` that `FileSeal` calls in the writer thread.
 
-    After any error that a method raises, the rest of the file has no seal.
+    If a method raises an error, the rest of the file has no seal.
     """
 
     def open_file(self, file: str) -> SealOfFile:

@@ -186,7 +186,7 @@ class Recorder:
     def split(self) -> None:
         """Continue in a new file, for all messages that are passed to `write` from now on.
 
-        Returns at once; `on_split` is called when the file has begun. After `close`, do nothing.
+        Returns at once; `on_split` is called when the file has begun. No effect after `close`.
         """
         if self._closed:
             return
@@ -213,9 +213,9 @@ class Recorder:
         )
 
     def close(self) -> RecorderStats:
-        """Write what is queued, finish file and `metadata.yaml`; return the final counts. Blocks.
+        """Write all queued messages, finish the file and `metadata.yaml`; return the final counts.
 
-        Messages passed to `write` from now on count as dropped. A second call is harmless.
+        The call blocks. Later messages count as dropped. A second call is harmless.
         """
         self._closed = True
         self._thread.stop()

@@ -38,7 +38,7 @@ class TopicFilter:
         self._always = frozenset(always)
 
     def records(self, topic: str, type_name: str) -> bool:
-        """Return whether the patterns let the recorder record a topic of this name and type."""
+        """Return whether the patterns select the topic with this name and type for recording."""
         if topic in self._always:
             return True
         if any(pattern.matches(topic, type_name) for pattern in self._exclude):

@@ -70,7 +70,7 @@ assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 
 
 class EvidenceChunks:
-    """Separates messages of evidence topics (see the module) from those of heavy topics."""
+    """Separates the messages of evidence topics from those of heavy topics."""
 
     def __init__(self, topics: Collection[str], channels: Sequence[ChannelState]) -> None:
         """`topics` are the full names of the evidence topics; `channels` may grow."""
@@ -170,7 +170,7 @@ _SETTLE_S = 1.0
 
 
 class WriterCommand(Enum):
-    """What the event loop may request through the queue, other than writing."""
+    """A request of the event loop in the queue of buffers."""
 
     SPLIT = "go on in a new file"
     STOP = "finish"

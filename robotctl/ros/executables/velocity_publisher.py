@@ -113,7 +113,7 @@ class VelocityPublisher(Node):
         return f"discovery reaches beyond this machine ({wider})" if wider else ""
 
     def stop(self) -> None:
-        """Publish a last zero; wait at most ACKNOWLEDGED_S until reliable subscribers have it."""
+        """Publish zero velocity; wait at most ACKNOWLEDGED_S until reliable subscribers have it."""
         self._send(ZERO)
         self._publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S))
 

@@ -100,10 +100,10 @@ def _running_loop() -> asyncio.AbstractEventLoop | None:
 
 
 class ImmediateCallbacks:
-    """Replaces a future's executor while the future gets its result; runs done callbacks at once.
+    """Stands in for the executor of a future that gets its result; runs done callbacks at once.
 
-    An rclpy future passes its done callbacks to `create_task` of its executor, which would run the
-    callbacks a turn of the loop later.
+    An rclpy future passes its done callbacks to `create_task` of its executor. The real executor
+    would run them in the next iteration of the loop.
     """
 
     def __init__(self, report: Callable[[Exception, str], None]) -> None:

@@ -214,7 +214,7 @@ def requester() -> bytes | None:
 
 @contextmanager
 def request_of(header: Any) -> Iterator[None]:
-    """Within the `with` block, make `requester` return the gid of the client that sent `header`."""
+    """Inside the `with` block, `requester` returns the gid of the client that sent `header`."""
     token = _REQUESTER.set(reader_of(header))
     try:
         yield

@@ -156,7 +156,7 @@ class EventFdSource(Source):
         self.handle.__exit__(None, None, None)
 
     def listen(self, pool: Pool | None) -> None:
-        """Make `pool` watch the eventfd; if `pool` is None, make the loop wake at each message."""
+        """Add the eventfd to `pool`; if that is None, the loop watches the eventfd itself."""
         self.stop_listening()
         if pool is None:
             watch(self.runtime.loop, self._fd, self.poll)

@@ -118,7 +118,7 @@ class Ticker:
         async for tick in Ticker(50.0):
             step(tick.t_ns)
 
-    `await Ticker(50.0).run(on_tick)` calls a function instead, one turn of the loop earlier.
+    `await Ticker(50.0).run(on_tick)` calls a function instead, one loop iteration earlier.
 
     The timer is released when the ticker is garbage collected; `close` or `async with` releases
     it at a known point.

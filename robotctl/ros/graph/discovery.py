@@ -250,7 +250,7 @@ class Discovery:
             stopped.wait(_POLL_S)
 
     def is_alone(self) -> bool:
-        """Return whether the domain has no other process; False if other machines may have one."""
+        """Return True if no other process can be in the domain, on this or another machine."""
         return is_on_this_machine_only() and participants_here(self._domain_id) == 1
 
     def is_complete(self, quiet_s: float) -> bool:

@@ -116,7 +116,7 @@ class Role(Enum):
 
 
 class Endpoint(NamedTuple):
-    """A publisher or subscription of any process; in names, bytes other than UTF-8 are escaped."""
+    """A publisher or subscription of any process; bytes that are not UTF-8 are escaped."""
 
     node_name: str
     node_namespace: str

@@ -127,7 +127,7 @@ class SimulatedRobot:
         self._is_changed = True
 
     def begin_fault(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault of `for_s` seconds; a pause of the process counts as MAX_STEP_S at most."""
+        """Begin `fault`, which lasts `for_s` seconds of simulated time."""
         self._robot.faults.begin(fault, for_s)
         self._is_changed = True
 

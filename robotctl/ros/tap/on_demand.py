@@ -31,7 +31,7 @@ class TopicWatcher(Protocol):
     """Receives what `OnDemandTap` finds out about the topics of the graph."""
 
     def appeared(self, topic: str, type_name: str, definition: str) -> None:
-        """Add a topic: it has a publisher now; `definition` is the ros2msg text of its type."""
+        """Add a topic that now has a publisher; `definition` is the ros2msg text of its type."""
 
     def vanished(self, topic: str) -> None:
         """Remove a topic that `appeared` added: no publisher of its type is left."""

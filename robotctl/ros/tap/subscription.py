@@ -133,7 +133,7 @@ class TappedSubscription:
         return latched is not None or requested.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
     def adapt(self, offered: Sequence[QoSProfile]) -> None:
-        """Subscribe again if `offered`, the publishers' present profiles, requires another QoS.
+        """Subscribe again if the profiles that the publishers now offer require another QoS.
 
         Messages that are sent before the new subscription has matched are lost, and count as lost.
 

@@ -83,7 +83,7 @@ class QosMismatches(Sentences):
         self._counts: dict[str, tuple[int, int]] = {}
 
     def look(self, topic: str, publishers: int) -> None:
-        """Compare the QoS on a topic if its count of `publishers` or of subscriptions changed."""
+        """Check the QoS on `topic` if its number of publishers or of subscriptions has changed."""
         counts = publishers, endpoints.subscription_count(self._node, topic)
         if counts == self._counts.get(topic):
             return
@@ -167,7 +167,7 @@ class TopicDescription:
 
 
 def describe(name: str, type_name: str, offered: Iterable[QoSProfile]) -> TopicDescription:
-    """Describe a topic by its full name, its type and the profiles that its publishers offer."""
+    """Return the description of the topic `name`; `offered` are its publishers' QoS profiles."""
     text, type_hash = installed_type(type_name)
     return TopicDescription(name, type_name, text, type_hash, qos.to_yaml(offered))
 

@@ -190,8 +190,8 @@ def remove(path: Path, *, without_asking: bool) -> int:
     """Remove the recording in the folder `path`, and return its size [bytes].
 
     Raises:
-        Refused: It is no recording of robotctl, is being recorded, is marked with `recordings
-            keep`, or cannot be read or removed.
+        Refused: The folder is no recording of robotctl, is still being recorded, is marked with
+            `recordings keep`, or cannot be read or removed.
         UsageError: The user must be asked, and there is no terminal.
         Interrupted: The user said no.
     """

@@ -127,7 +127,7 @@ _ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "since")
 
 
 def judge(path: Path, recorded: Recorded, *, quiet: bool) -> ReportFindings:
-    """Return what `replay --check`, `why` and `verify` find; without a journal only `verify`."""
+    """Return the findings of `verify` and, if there is a journal, of `replay --check` and `why`."""
     from robotctl.check.run import check_recordings
     from robotctl.cli.commands.recordings.verify import verify_together
     from robotctl.show.page import ReportFindings
