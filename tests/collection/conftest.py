@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,8 +17,6 @@ from robotctl.testing.drives import drive, record
 from tests.support.stores import MemoryStore
 
 FIRST, SECOND = "robot_20260101_120000", "robot_20260102_120000"
-
-Run = Callable[[], Synced]
 
 
 @pytest.fixture(scope="session")
@@ -50,10 +48,25 @@ def store() -> MemoryStore:
     return MemoryStore()
 
 
+class Run:
+    """Does what a run of the command does, with these recordings and this store."""
+
+    def __init__(self, recordings: Path, store: MemoryStore, one_recording: Path) -> None:
+        self.recordings = recordings
+        self.store = store
+        self._one_recording = one_recording
+
+    def __call__(self) -> Synced:
+        return copy_recordings(local_recordings(self.recordings, time.time_ns()), self.store)
+
+    def add(self, name: str) -> Path:
+        """Add a recording of this name."""
+        return copy_as(self._one_recording, self.recordings / name)
+
+
 @pytest.fixture
-def run(recordings: Path, store: MemoryStore) -> Run:
-    """Return a function that does what a run of the command does."""
-    return lambda: copy_recordings(local_recordings(recordings, time.time_ns()), store)
+def run(recordings: Path, store: MemoryStore, one_recording: Path) -> Run:
+    return Run(recordings, store, one_recording)
 
 
 @contextmanager

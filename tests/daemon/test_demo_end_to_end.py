@@ -82,8 +82,7 @@ def test_an_interrupted_demo_leaves_a_valid_file_and_no_process(
     assert demo.returncode == 130
     assert "recorded until then: recordings/demo_" in err
     until(lambda: not world.processes())
-    folder = next(path for path in Path(world.recordings).iterdir())
-    info = read_info(folder)
+    info = read_info(world.recording)
     assert info.missing == ()
     assert info.indexed
     assert info.message_count >= 10

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
-from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
 from robotctl.recording import read_messages
 from tests.support.bags import padded
+from tests.support.ros_peer import node_in
 from tests.support.waiting import until
 from tests.support.world import World, new_world, read_back
 
@@ -31,7 +26,7 @@ def test_a_replay_recorded_again_has_the_same_messages_in_the_same_order(world: 
     until(lambda: world.here("set-mode", "moving").exit_code == 0)
     until(lambda: world.status()["velocity"]["linear"] > 0.05)
     world.ok("stop")
-    (first,) = world.recordings.iterdir()
+    first = world.recording
     world.ok("start", "--observe")
     topics = (*RELIABLE, *BEST_EFFORT)
     said = world.answer(
@@ -78,71 +73,47 @@ def topic_of(name: str) -> str:
     return f"/field_types/{name.lower()}"
 
 
-@dataclass(frozen=True, slots=True)
 class Life:
     """The sent messages, their recording, and the messages of its replay.
 
     `sent` are the messages as they were serialized: once, for CDR leaves its padding undefined.
     """
 
-    messages: dict[str, list[Any]]
-    sent: dict[str, list[bytes]]
-    folder: Path
-    replayed: dict[str, list[bytes]]
+    def __init__(self, world: World, node: Node) -> None:
+        """Publish, record and replay every type once."""
+        self.messages = {name: fixtures.get_test_msg(name) for name in TYPES}
+        self.sent = {
+            name: [padded(serialize_message(each)) for each in self.messages[name]]
+            for name in TYPES
+        }
+        kinds = {name: getattr(messages, name) for name in TYPES}
+        publishers = {
+            name: node.create_publisher(kind, topic_of(name), DEEP) for name, kind in kinds.items()
+        }
+        world.ok("start", "--observe")
+        until(lambda: all(each.get_subscription_count() for each in publishers.values()))
+        for name, publisher in publishers.items():
+            for data in self.sent[name]:
+                publisher.publish(data)
+        count = sum(map(len, self.sent.values()))
+        until(lambda: received(world) == count)
+        world.ok("stop")
+        for publisher in publishers.values():
+            node.destroy_publisher(publisher)
+        self.folder = world.recording
+        self.replayed: dict[str, list[bytes]] = {name: [] for name in TYPES}
+        for name, kind in kinds.items():
+            heard = self.replayed[name].append
+            node.create_subscription(kind, topic_of(name), heard, DEEP, raw=True)
+        topics = ",".join(map(topic_of, TYPES))
+        world.ok("replay", str(self.folder), "--topics", topics, "--rate", "max")
+        until(lambda: sum(map(len, self.replayed.values())) == count)
 
 
 @pytest.fixture(scope="module")
 def life() -> Iterator[Life]:
-    """Publish, record and replay every type once."""
-    with new_world() as world:
-        context = Context()
-        context.init(args=[], domain_id=world.domain_id)
-        node = Node("field_types", context=context, start_parameter_services=False)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        thread = threading.Thread(target=spin, args=(executor,))
-        thread.start()
-        try:
-            yield live(world, node)
-        finally:
-            executor.shutdown()
-            context.try_shutdown()
-            thread.join()
-            node.destroy_node()
-            context.destroy()
-
-
-def spin(executor: SingleThreadedExecutor) -> None:
-    with suppress(ExternalShutdownException):
-        executor.spin()
-
-
-def live(world: World, node: Node) -> Life:
-    made = {name: fixtures.get_test_msg(name) for name in TYPES}
-    sent = {name: [padded(serialize_message(each)) for each in made[name]] for name in TYPES}
-    kinds = {name: getattr(messages, name) for name in TYPES}
-    publishers = {
-        name: node.create_publisher(kind, topic_of(name), DEEP) for name, kind in kinds.items()
-    }
-    world.ok("start", "--observe")
-    until(lambda: all(each.get_subscription_count() for each in publishers.values()))
-    for name, publisher in publishers.items():
-        for data in sent[name]:
-            publisher.publish(data)
-    count = sum(map(len, sent.values()))
-    until(lambda: received(world) == count)
-    world.ok("stop")
-    for publisher in publishers.values():
-        node.destroy_publisher(publisher)
-    (folder,) = world.recordings.iterdir()
-    replayed: dict[str, list[bytes]] = {name: [] for name in TYPES}
-    for name, kind in kinds.items():
-        heard = replayed[name].append
-        node.create_subscription(kind, topic_of(name), heard, DEEP, raw=True)
-    topics = ",".join(map(topic_of, TYPES))
-    world.ok("replay", str(folder), "--topics", topics, "--rate", "max")
-    until(lambda: sum(map(len, replayed.values())) == count)
-    return Life(made, sent, folder, replayed)
+    with new_world() as world, node_in(world.domain_id, "field_types") as node:
+        yield Life(world, node)
 
 
 def received(world: World) -> int:

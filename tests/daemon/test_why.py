@@ -62,9 +62,9 @@ def test_why_knows_everything_that_the_daemon_has_answered_so_far(
         call("robot", "reset", {"source": "test"})
     elsewhere = here.folder / "elsewhere"
     (elsewhere / "recordings" / "robot_20200101_120000").mkdir(parents=True)
-    (live,) = here.recordings.iterdir()
     process = here.spawn("why", "--json", cwd=elsewhere)
-    assert json.loads(process.communicate()[0])["path"] == str(live), "the running daemon's"
+    found = json.loads(process.communicate()[0])
+    assert found["path"] == str(here.recording), "the running daemon's"
     here.ok("stop")
 
 
@@ -208,7 +208,7 @@ def test_a_kill_while_moving_is_known_and_the_journal_outlives_daemons(here: Wor
     until(lambda: here.status()["velocity"]["linear"] > 0.1)
     until(lambda: len(of_kind(read_log(log_folder("robot")).entries, DecisionKind.REQUEST)) == 3)
     call("robot", RECORD_COMMIT)  # what a kill may lose, the last 0.3 s, is not to be the drive
-    (killed,) = here.recordings.iterdir()
+    killed = here.recording
     here.kill(here.status()["pid"])
     assert "the recording ends while MOVING: the daemon was killed" in here.ok("why")
     here.patient.write_text(f"{here.patient.read_text()}limits.linear_mps: 0.3\n")

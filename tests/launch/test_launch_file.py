@@ -129,8 +129,7 @@ def test_ctrl_c_of_the_launched_daemon_ends_with_a_closed_recording() -> None:
         assert world.robotctl("set-mode", "moving").exit_code in (0, 4)
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=2 * DEADLINE_S) == 0
-        (recording,) = world.recordings.iterdir()
-        assert check_recording(recording).verdict is Verdict.SAME
+        assert check_recording(world.recording).verdict is Verdict.SAME
 
 
 def test_sim_auto_ends_where_odometry_is_published_in_its_namespace() -> None:
