@@ -354,7 +354,7 @@ MIN_TIMEOUT_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """A value for a key of the configuration, and why it is proposed."""
+    """A proposed value for a key of the configuration; `why` is the reason."""
 
     key: str
     value: float

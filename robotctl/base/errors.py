@@ -26,9 +26,9 @@ IN_PARENTHESES = "{cause} ({cure})"
 
 
 class RobotctlError(Exception):
-    """The base class of all errors; an internal error of robotctl is of this class itself.
+    """The base class of all errors. An internal error of robotctl has exactly this class.
 
-    `str(error)` is the text for people. `cause` says what happened, and `cure` what to do about it;
+    `str(error)` is the text for people. `cause` describes the error, and `cure` is the advice;
     if `cure` is empty, `cause` may contain both. `answer` is the partial result: the numbers of a
     drive that was stopped, or the readable part of a damaged file.
     """

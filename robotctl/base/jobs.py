@@ -49,7 +49,7 @@ async def run_job(command: Sequence[str]) -> list[dict[str, Any]]:
     """Run the command of a job to its end, and return its reports.
 
     Raises:
-        JobFailed: The process could not be started, reported an error, or failed otherwise.
+        JobFailed: The process could not be started, reported an error, or failed without one.
     """
     async with aclosing(job_reports(command)) as reports:
         return [report async for report in reports]

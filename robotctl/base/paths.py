@@ -129,7 +129,7 @@ def socket_path(robot: str) -> Path:
 
 
 def lock_path(robot: str) -> Path:
-    """Return the path of the file that the robot's daemon locks (flock) and writes its pid into."""
+    """Return the path of the file that the robot's daemon locks by flock, and that has its pid."""
     return runtime_folder() / f"{check_robot_name(robot)}.lock"
 
 

@@ -23,7 +23,7 @@ UNSET: Final = 0
 
 @dataclass(frozen=True, slots=True)
 class LogLevel:
-    """The level of a logger; `logger` "" means all loggers whose level is not set separately."""
+    """The level of `logger`, or, if `logger` is "", of all loggers without a level of their own."""
 
     logger: str
     level: int

@@ -293,7 +293,7 @@ class ServiceCheck:
         return max(len(self._calls), len(self._asked)) >= MAX_CALLS
 
     def end(self, ending: Ending, moment: JournalEnd) -> None:
-        """Report the differences; `ending` and `moment` say how and when the journal ends."""
+        """Report the differences; `ending` and `moment` describe the end of the journal."""
         if self._unreadable:
             self._report.miss(f"{self._unreadable} messages of {self.topic} cannot be read")
             return

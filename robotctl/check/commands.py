@@ -486,7 +486,7 @@ class CommandCheck:
         self._pairs.stop()
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare the commands of a step; `moments` is when the step began and ended."""
+        """Compare the commands of a step; `moments` are the times of its begin and its end."""
         self._clock.look(event.t_ns, moments[1])
         self._pairs.step(event, effects, moments)
 

@@ -215,7 +215,7 @@ class Comparison:
         return not self.is_exact and not self.differences(recorded, mine)
 
     def differences(self, recorded: str, decided: str) -> list[str]:
-        """Return the differences of two JSON texts, as `path: recorded ..., decided ...`."""
+        """Return the differences of two JSON texts, each as "path: recorded ..., decided ..."."""
         try:
             theirs = json.loads(recorded)
         except (ValueError, RecursionError):

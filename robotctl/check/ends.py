@@ -83,7 +83,7 @@ class Ending:
 
     @property
     def unknown_losses(self) -> str:
-        """Why the losses of a recording without a ledger are not known."""
+        """The reason for which the losses of a recording without a ledger are not known."""
         return IN_SOURCE if self.is_clip else "it was not closed, so its losses are not known"
 
 

@@ -58,7 +58,7 @@ class ShownModes:
         self._t_ns = self._offset_ns = self._begin_ns = 0
 
     def snapshot(self, mode: Mode, t_ns: int, wall_ns: int) -> None:
-        """Note the mode in a snapshot at the steady time `t_ns`, `wall_ns` since the epoch."""
+        """Note the mode in a snapshot. Its time is `t_ns` (steady), `wall_ns` since the epoch."""
         self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
         if not self._spans:
             self._spans.append(_ModeSpan(mode.value, t_ns))

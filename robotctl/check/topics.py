@@ -116,9 +116,9 @@ MAX_REPEATED: Final = 1_000
 class RepeatedLatched:
     """Counts the log times at which messages of a latched topic repeat earlier ones.
 
-    A recorder begins each file with a snapshot, and repeats the last message of each publisher with
-    one log time. So one time per snapshot is allowed (joined files keep their snapshots), and at
-    least one per file: a journal that was received has its snapshots at other places.
+    A recorder begins each file with a snapshot, and repeats the last message of each publisher at
+    one log time. So each snapshot allows one such time (joined files keep their snapshots). Each
+    file allows one in any case: a received journal has its snapshots elsewhere.
     """
 
     def __init__(self, info: RecordingInfo) -> None:

@@ -46,7 +46,7 @@ Failures = dict[Path, str]
 def index_recordings(
     recordings: Sequence[Path], on_progress: Done = lambda done, total: None
 ) -> Failures:
-    """Index recordings, in one process per CPU; return those that failed, each with the reason."""
+    """Index recordings, in one process per CPU; return the reason of each failure by its path."""
     # Imported here: a question about indexed recordings needs neither processes nor the kernel.
     from robotctl.base.pool import local_processes, results_of
     from robotctl.collection.indexing import index_recording

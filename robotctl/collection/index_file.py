@@ -168,8 +168,8 @@ class RecordingRow:
 class DriveRow:
     """A drive, numbered from 1 in its recording, with the errors of its `DriveReport`.
 
-    `wanted_laps` of 0 means until stopped. `ended` is the reason of the end. If the recording ends
-    before the drive does, all fields with a default are None.
+    If `wanted_laps` is 0, the drive was to continue until stopped. `ended` is the reason of the
+    end. If the recording ends before the drive does, all fields with a default are None.
     """
 
     kind: ClassVar[str] = "drive"

@@ -183,7 +183,7 @@ def outcome_of(
     report: Report | None,
     other: Change | None,
 ) -> str:
-    """Return a SHA-256 over the verdict, the check's findings, and what `settings` change.
+    """Return a SHA-256 over the verdict, the check's findings, the `settings` and what they change.
 
     Equal findings have an equal hash, wherever the recording is and whichever robotctl judges it.
     """

@@ -88,7 +88,7 @@ class ResultStore:
         return result
 
     def put_token(self) -> str:
-        """Create a token, a file that only workers with the same folder can see; return its name.
+        """Create a token, a file that only workers with the same folder see, and return its name.
 
         Raises:
             Refused: The store cannot be written.

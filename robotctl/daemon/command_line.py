@@ -114,7 +114,7 @@ def parse(arguments: list[str]) -> DaemonOptions:
 
 
 def absolute(recordings: Path) -> Path:
-    """Return the absolute path of the folder.
+    """Return `recordings` as an absolute path.
 
     Raises:
         UsageError: The path is relative, and the working folder was removed.

@@ -78,7 +78,7 @@ class LoggerLevels:
         )
 
     def change(self, name: str, level: int, source: str) -> str:
-        """Set the level of a logger in Python and in rcl; return why that was refused, or "".
+        """Set the level of a logger in Python and in rcl; return "" or the reason for a refusal.
 
         rcl's default level is never changed: at DEBUG, rcl writes two lines for each message.
         """

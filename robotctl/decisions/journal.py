@@ -206,7 +206,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def last_file(folder: Path) -> Path:
-    """Return the newest file, or a new file if the newest is full; end a torn last line first.
+    """Return the newest file, or a new file if it is full. First complete a last line that is torn.
 
     Raises:
         OSError: The file cannot be written.
@@ -287,9 +287,9 @@ def _digest(content: bytes) -> str:
 
 
 def head_of(folder: Path) -> str:
-    """Return the digest of the newest file, "" if there is none or it cannot be read.
+    """Return the digest of the journal's newest file, "" if there is none or it cannot be read.
 
-    Recordings store this digest: it shows later whether lines were changed, or cut off the end.
+    Recordings store this digest. By it a check finds lines that were changed or removed later.
     """
     with suppress(OSError, IndexError):
         return digests(folder)[-1]

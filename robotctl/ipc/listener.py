@@ -98,7 +98,7 @@ def _check_reachable(base: Path, group: SocketGroup) -> None:
 
 
 async def until_readable(sock: socket.socket) -> None:
-    """Wait until the socket has data, or a client to accept.
+    """Wait until `sock` has data to read, or a connection to accept.
 
     Nothing is read from the socket, so no data are lost if the waiting task is cancelled just when
     data arrive. With `loop.sock_recv` and `loop.sock_accept`, data could be lost.

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 
 class Mode(IntEnum):
-    """What the robot may do; the numbers are those of robot_controller/msg/RobotStatus."""
+    """The mode of the robot; the numbers are those of robot_controller/msg/RobotStatus."""
 
     IDLE = 0
     MOVING = 1

@@ -9,10 +9,10 @@ from robotctl.kernel.ranges import Change, bounded, setting, topic
 
 
 class SafetyInput(Enum):
-    """A safety input; the meaning of its value depends on the kind.
+    """A safety input. Its kind determines the meaning of its value.
 
-    ESTOP, JOY and BUMPER: 1 pressed, 0 not. TILT: the angle between the robot's and the world's
-    upward axis [rad]. DIAGNOSTICS: the worst level of diagnostic_msgs/DiagnosticStatus.
+    ESTOP, JOY, BUMPER: 1 means pressed, 0 not pressed. TILT: the angle between the upward axis of
+    the robot and that of the world [rad]. DIAGNOSTICS: the worst level of a DiagnosticStatus.
     """
 
     ESTOP = "estop"

@@ -115,7 +115,7 @@ def _aligned(order: str, codes: str, phase: int) -> struct.Struct:
 
 
 class CdrWriter:
-    """Collects the fields of a message in their order: plain CDR, little endian."""
+    """Serializes a message as plain CDR, little endian. Add its fields in their order."""
 
     def __init__(self) -> None:
         self.data = bytearray(ENCAPSULATION)

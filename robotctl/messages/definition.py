@@ -121,7 +121,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """The fields of the type `root` and of all types that it needs, by `pkg/T`.
+    """The fields of the type `root` and of all types that it needs; `types` has them by `pkg/T`.
 
     The types stand in the order of a ros2msg text: `root`, then the others depth first.
     """

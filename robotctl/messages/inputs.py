@@ -118,7 +118,7 @@ class StampedTwistEncoder:
         self._twist = len(self._buffer) - _VELOCITY.size
 
     def encode(self, twist: Twist, stamp_ns: int) -> bytes:
-        """Return a message with this linear.x and angular.z; `stamp_ns` is in ROS time."""
+        """Return the serialized message for `twist`; `stamp_ns` is in ROS time."""
         buffer = self._buffer
         _STAMP.pack_into(buffer, BODY, *divmod(stamp_ns, NS_PER_S))
         _VELOCITY.pack_into(buffer, self._twist, twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)

@@ -152,7 +152,7 @@ def write_csv(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO)
 
 
 def write_json_lines(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO) -> int:
-    """Write the `json_lines` of the rows; return the number of rows."""
+    """Write each row as a line of JSON, by `json_lines`; return the number of rows."""
     return sum(bool(stream.write(line)) for line in json_lines(columns, rows))
 
 

@@ -48,7 +48,7 @@ def running_daemons() -> list[RunningDaemon]:
 
 
 def daemons_in(domain_id: int) -> list[RunningDaemon]:
-    """Return the daemons that can drive a robot and whose domain is `domain_id` or unknown."""
+    """Return the daemons in the domain, or in an unknown one, except those that only observe."""
     return [
         daemon
         for daemon in running_daemons()

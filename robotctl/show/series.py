@@ -46,7 +46,7 @@ class SeriesColumn(NamedTuple):
 class Series:
     """Values over time, from 0 to `duration_s`; `add` merges them into the COLUMNS of a plot.
 
-    `count` is the number of values; `odd` counts values left out: not finite, or above MAX_VALUE.
+    `count` counts the merged values; `odd` counts others, which are not finite or above MAX_VALUE.
     """
 
     def __init__(self, duration_s: float) -> None:

@@ -64,7 +64,7 @@ Point = tuple[float, float]
 
 @dataclass(slots=True)
 class ModeSpan:
-    """A time span in one mode; `reason` is why the mode began."""
+    """A time span in one mode; `reason` is the recorded reason for the change to this mode."""
 
     begin_s: float
     end_s: float
@@ -179,8 +179,8 @@ MS_PER_NS: Final = 1e-6
 class JournalTraces:
     """Fills traces from the entries of a journal, in their order.
 
-    Commands, modes and ends of drives are as recorded. The wanted path is not: a kernel repeats the
-    decisions to compute it. After missing entries, a new kernel begins at the next snapshot.
+    Commands, modes and ends of drives are copied from the entries. A kernel repeats the decisions
+    to compute the wanted path. After missing entries, a new kernel begins at the next snapshot.
     """
 
     def __init__(self, traces: Traces) -> None:

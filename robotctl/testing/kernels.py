@@ -112,7 +112,7 @@ class Bench:
 
     @property
     def commands(self) -> list[Twist]:
-        """All commands so far."""
+        """The commands of all effects so far, in their order."""
         return [effect.twist for effect in self.effects if isinstance(effect, PublishTwist)]
 
 

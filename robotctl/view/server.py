@@ -161,7 +161,7 @@ class ViewServer:
         return int(sock.getsockname()[1])
 
     async def run(self) -> None:
-        """Until cancelled, end stalled connections and slow handshakes; report dropped messages."""
+        """End stalled connections and slow handshakes until cancelled; report dropped messages."""
         while True:
             await asyncio.sleep(PERIOD_S)
             now_s = time.monotonic()
@@ -213,7 +213,7 @@ class ViewServer:
         self._unflushed.update(subscribers)
 
     def note(self, id: str, message: str) -> None:  # noqa: A002 - the field's name
-        """Show `message` to all present and later viewers; "" removes the note with this `id`."""
+        """Show `message` to all present and later viewers; if it is "", remove the note `id`."""
         if message and self._notes.get(id) != message:
             self._notes[id] = message
             self._tell_all(warning(message, id))

@@ -146,7 +146,7 @@ class Outbox:
 
     @property
     def dropped(self) -> int:
-        """How many messages of topics were removed unsent."""
+        """The number of topic messages that were removed before they were sent."""
         return self._messages.dropped + self._large.dropped
 
     @property

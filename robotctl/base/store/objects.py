@@ -135,7 +135,7 @@ class ObjectStore(Protocol):
         """
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
-        """Store an object from parts of any length; replace the object that has that key.
+        """Store the object `key` from parts of any length; replace an object that has this key.
 
         The object appears when all parts are stored. If iterating `parts` raises an exception,
         nothing is stored, and `put` raises that exception.

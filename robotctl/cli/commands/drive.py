@@ -60,7 +60,7 @@ def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
     """Draw the last drive into the folder of its recording, and return the path of the picture.
 
     `drive` is the daemon's answer about the drive. An earlier picture is replaced. If drawing
-    fails, a note on stderr says why, and None is returned: the drive is recorded all the same.
+    fails, print a note with the reason on stderr and return None: the drive is recorded anyway.
     """
     try:
         path = call(robot, PATH)

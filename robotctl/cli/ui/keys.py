@@ -325,7 +325,7 @@ class TerminalAnswers:
         os.close(self._file)
 
     def ask(self) -> None:
-        """Ask the terminal, unless the last question is younger than ASK_EACH_S."""
+        """Send the query to the terminal, unless the last one was sent less than ASK_EACH_S ago."""
         now_s = time.monotonic()
         if now_s - self._asked_s >= ASK_EACH_S:
             self._asked_s = now_s

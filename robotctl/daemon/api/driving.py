@@ -121,7 +121,7 @@ class DrivingMethods:
         self._robot_report = robot_report
 
     def table(self) -> dict[str, Method[Any]]:
-        """Return every method by its name."""
+        """Return the handlers of the driving methods by method name."""
         return {
             PATH: Method(NoParams, self._get_path),
             PREFLIGHT: Method(NoParams, self._preflight),
@@ -140,9 +140,9 @@ class DrivingMethods:
         size_m: float | None = None,
         speed_mps: float | None = None,
     ) -> Pattern:
-        """Return a pattern; an argument that is None gets its configured value.
+        """Return a pattern. Each argument that is None is replaced by its configured value.
 
-        If `kind` is not the configured kind, a size of None gets the default size of `kind`.
+        If `kind` is not the configured kind, a missing size is the default size of `kind`.
 
         Raises:
             UsageError: The speed is above the configured limit.

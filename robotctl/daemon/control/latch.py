@@ -190,7 +190,7 @@ class Latch:
         return f"{problem} (tried again each second)" if problem else ""
 
     async def close(self) -> None:
-        """Wait at most DISK_S until the last change is on the disk, then end the thread."""
+        """Wait until the last change has settled, at most DISK_S, and end the thread."""
         settled = asyncio.Event()
         self.when_settled(lambda _: settled.set())
         await settled.wait()

@@ -168,7 +168,7 @@ def replaced_file(target: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def atomic_output(target: Path, source: Path) -> Iterator[Path]:
-    """Yield a path where the block creates a file or folder, which is then renamed to `target`.
+    """Yield a path at which the block creates a file or folder; then rename that to `target`.
 
     If the block raises, nothing remains. The path is in a hidden, private folder next to `target`;
     a kill leaves that folder behind. The group may read the result if it may read `source`.

@@ -183,7 +183,7 @@ class Summary:
     def state(self, data_end: int, data_crc: int, seal: bytes = b"") -> TrailerState:
         """Return the current state; `data_end` is where the data ends, `data_crc` its checksum.
 
-        `seal` is the record of the seal's newest link, which covers that data.
+        `seal` is the record of the newest link of the seal; this link covers all data.
         """
         statistics = Statistics(
             attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],

@@ -93,10 +93,10 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """A finished clip; `lost` says in sentences what could not be read.
+    """A finished clip; `lost` has a sentence for each part that could not be read.
 
     `start_ns` and `end_ns` are the part of the requested time range that the recording has, in ns
-    since the epoch. `message_count` includes the messages repeated from before `start_ns`.
+    since the epoch. `message_count` includes earlier messages that are repeated at the start.
     """
 
     target: Path
@@ -250,7 +250,7 @@ class ClipJob:
 
 
 def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
-    """Return how long the recording must continue to contain the whole clip [s]; 0 if it ended."""
+    """Return the time [s] until the end of the clip has been recorded, 0 if no more is to come."""
     if not listed.live or listed.end_ns >= job.end_ns:
         return 0.0
     return max(job.end_ns - time.time_ns(), 0) / NS_PER_S

@@ -196,7 +196,7 @@ def list_recordings(
 ) -> Iterator[ListedRecording]:
     """Yield the recordings directly below `folder`, ordered by name.
 
-    `on_progress` receives the recordings done, and in total. Symbolic links are not followed.
+    `on_progress` gets two counts, of finished and of all recordings. Links are not followed.
 
     Raises:
         OSError: `folder` cannot be listed.

@@ -56,7 +56,7 @@ class Place:
     compression: str = ""
 
     def size_in_memory(self, file: InputFile) -> int:
-        """Return how many bytes `read` will return, by the size that the file claims.
+        """Return the number of bytes that `read` returns if the sizes stored in the file are true.
 
         Raises:
             Damaged: The head of the chunk cannot be read.
@@ -102,8 +102,8 @@ class Contents:
     ) -> None:
         """Walk the records in `data`, the content of a place.
 
-        `define` gets opcode and content of each schema and channel. `begin` gets each channel id,
-        before the first message of the channel is added.
+        `define` gets the opcode and the content of each schema and channel. `begin` gets the id of
+        each channel that has messages, before the first of them is added.
 
         Raises:
             Damaged: A record is cut off or malformed.

@@ -154,7 +154,7 @@ class LocalSource:
             raise
 
     def size(self) -> int:
-        """Return the present size [bytes], decompressed."""
+        """Return the present size of the decompressed file [bytes]."""
         return os.fstat(self._fd).st_size
 
     def stored_bytes(self) -> int:
@@ -324,7 +324,7 @@ def files_of_bag(folder: Path) -> list[Path]:
 def each_with_progress(
     paths: Sequence[Path], on_progress: Progress
 ) -> Iterator[tuple[Path, Progress]]:
-    """Yield each path with a function to report progress on that path: (done, total), in any unit.
+    """Yield each path with a function (done, total), which accepts progress on it in any unit.
 
     The function calls `on_progress` with the bytes done and in total of all paths.
     """

@@ -210,7 +210,7 @@ def _read_metadata(file: InputFile, index: FileIndex, entries: Iterable[Metadata
 
 
 def read_written_file(file: InputFile) -> WrittenFile:
-    """Return what a writer needs to continue the file.
+    """Return the state of a file that robotctl wrote, from which a writer can continue it.
 
     Raises:
         Damaged: The summary is not valid, or not as robotctl writes it.

@@ -21,7 +21,7 @@ _FIRST_STEP_NS = 15 * NS_PER_S
 
 
 class RecordedEntry(NamedTuple):
-    """A journal entry, and when it was recorded, in nanoseconds since the epoch."""
+    """A journal entry, with the log time at which it was recorded [ns since the epoch]."""
 
     log_ns: int
     entry: JournalEntry
@@ -97,7 +97,7 @@ def read_journal(
     """Yield the entries in file order: by `seq`, unless another program has sorted the file.
 
     Log times may step back if the clock was set. `on_missing` gets a sentence about each part that
-    cannot be read, `on_progress` gets the bytes done and in total.
+    cannot be read. `on_progress` gets the number of bytes read and that of all bytes.
 
     Raises:
         UnreadableFile: There is no journal, or an entry is damaged.

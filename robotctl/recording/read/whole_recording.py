@@ -153,7 +153,7 @@ def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
 
 
 class RecordingProof(StrEnum):
-    """What is proved about a recording, the most severe result first."""
+    """The result of verifying a recording; the most severe result is first."""
 
     BROKEN = "broken"
     """A byte, a count, the chain or a signature is wrong."""

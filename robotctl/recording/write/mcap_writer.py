@@ -449,7 +449,7 @@ class McapFile:
         self._storage.truncate(good.data_end + trailer.size)
 
     def sync(self) -> None:
-        """Force everything committed to the disk.
+        """Ensure that everything that was committed is on the disk.
 
         Raises:
             OSError: The disk fails, or the file was removed.

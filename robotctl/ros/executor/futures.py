@@ -68,7 +68,7 @@ async def wait(future: Future) -> Any:
 
 
 def open_bridge(loop: asyncio.AbstractEventLoop) -> None:
-    """Make `await future` in this loop use `wait`, until `close_bridge`."""
+    """Use `wait` for each `await future` in this loop, until `close_bridge` is called."""
     _bridged_loops[loop] += 1
     _set_await(_await_bridged)
 
@@ -169,8 +169,8 @@ class ExecutorTask(Future):
 class Tasks:
     """Runs functions and coroutines in the loop, and sets the future of each.
 
-    An exception goes into the future, and to the exception handler as well unless the future has
-    a done callback.
+    The future gets an exception that is raised. The exception handler gets it too, unless the
+    future has a done callback.
     """
 
     def __init__(self, executor: Any, loop_thread: LoopThread) -> None:

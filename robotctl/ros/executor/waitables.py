@@ -81,7 +81,7 @@ class WaitSetThread:
         self._signals: GuardCondition | None = None
 
     def watch_signals(self) -> None:
-        """From now on, close the executor when a signal handler of rclpy shuts the context down."""
+        """Begin to close the executor whenever a signal handler of rclpy shuts the context down."""
         self._signals = SignalHandlerGuardCondition(self._context)
         self._start()
 

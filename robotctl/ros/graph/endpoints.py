@@ -136,7 +136,7 @@ def gid_of(publisher: Publisher) -> bytes:
 
 
 def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
-    """Return gid -> full name of the node, "" if unknown, for each publisher of a topic."""
+    """Return the full name of the node, "" if unknown, by the gid of each publisher of `topic`."""
     return {each.gid: full_name(each) for each in publishers(node, topic)}
 
 
@@ -177,7 +177,7 @@ _REQUEST_TYPE = re.compile(r"(\w+)::srv::dds_::(\w+)_Request_|(\w+)::action::dds
 def overview(node: Node) -> dict[str, Any]:
     """Return the names of all topics and services with their types, and the names of all nodes.
 
-    Nodes of `robotctl topic|node|service` are missing; `left_out` counts names above MAX_NAMES.
+    The nodes of robotctl's own look-ups are missing. `left_out` counts the names above MAX_NAMES.
     """
     found: dict[str, list[Any]] = {
         "topics": _typed(topics(node)),
@@ -191,7 +191,7 @@ def overview(node: Node) -> dict[str, Any]:
 
 
 def topic_facts(node: Node, topic: str) -> dict[str, Any]:
-    """Return types, publishers and subscriptions of a topic; `topic` is its full name.
+    """Return name, types, publishers and subscriptions of the topic with the full name `topic`.
 
     Each endpoint has its node's full name ("" while unknown), its type, gid and QoS.
     """

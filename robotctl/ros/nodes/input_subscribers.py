@@ -55,7 +55,7 @@ def report_battery(
 def report_scans(
     session: Session, topic: str, on_scan: Callable[[tuple[float, ...], str, int], None]
 ) -> Subscription:
-    """Report the nearest range [m] in each sector of a scan, () if the scan is unreadable."""
+    """Call `on_scan` with the nearest range [m] in each sector of a scan, () if it is malformed."""
     return report_values(session, LaserScan, topic, read_sectors, on_scan)
 
 

@@ -73,7 +73,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Show clients the `value` that the daemon gave to parameter `key`, if the node has it."""
+        """Set the node's parameter `key`, if it exists, to the `value` that the daemon now uses."""
         if key not in self._keys or self._asking:  # rclpy stores accepted values itself
             return
         self._showing = True

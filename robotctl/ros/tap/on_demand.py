@@ -37,7 +37,7 @@ class TopicWatcher(Protocol):
         """Remove a topic that `appeared` added: no publisher of its type is left."""
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Report why a topic cannot be shown; `problem` is "" if it can be shown now or is gone."""
+        """Report the `problem` that prevents showing `topic`, or "" when it has ended."""
 
 
 class OnDemandTap:

@@ -179,7 +179,7 @@ def settings_lines(settings: Mapping[str, Mapping[str, object]]) -> list[str]:
 
 
 def table_row(label: str, cells: Sequence[str]) -> str:
-    """Return one row of a table."""
+    """Return a row of a table as text: the label, then the cells, which are aligned right."""
     columns = "".join(f"{cell:>{_COLUMN_WIDTH}}" for cell in cells)
     return f"  {label:{_LABEL_WIDTH}}{columns}".rstrip()
 

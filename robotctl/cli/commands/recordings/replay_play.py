@@ -45,7 +45,7 @@ class Screen:
 
 @contextmanager
 def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
-    """Yield a screen: `robot` if given, and a bar (notes without a terminal); empty if `quiet`."""
+    """Yield a screen that shows `robot`, if given, and the progress; it is empty if `quiet`."""
     if quiet:
         yield Screen()
     elif is_terminal():
