@@ -62,11 +62,11 @@ class Motion:
         return self.held.angular_rps if self.is_turn else self.held.linear_mps
 
     def sent(self) -> list[tuple[float, float]]:
-        """Return time [s] and speed [m/s] of each command; for a turn, time and rate [rad/s]."""
+        """Return each command's time [s] and its speed [m/s], or its rate [rad/s] in a turn."""
         return [(c.t_s, c.angular_rps if self.is_turn else c.linear_mps) for c in self.commands]
 
     def way(self) -> list[tuple[float, float]]:
-        """Return each sample's time [s], and the distance [m] or turn [rad] since the first one."""
+        """Return each sample's time [s] and its distance [m] or turn [rad] from the first sample."""
         begin = self.samples[0].pose if self.samples else ORIGIN
         if not self.is_turn:
             return [(each.t_s, begin.express(each.pose).x) for each in self.samples]

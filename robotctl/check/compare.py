@@ -129,7 +129,7 @@ class JournalFormat:
 
 
 def other_field(entry: JournalEntry) -> str:
-    """Return how the fields of a snapshot differ from those of this version, "" if they do not.
+    """Return the first differing field of a snapshot as "has NAME" or "lacks NAME", "" if none.
 
     Raises:
         UnreadableFile: The entry is not a snapshot of this version.

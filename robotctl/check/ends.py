@@ -358,7 +358,7 @@ class JournalChain:
         self._seq = seq
 
     def is_whole(self, entry: JournalEntry, proof: Proof | None) -> bool:
-        """Return whether the CRC of the entries before a snapshot is that of its proof.
+        """Return whether the CRC over the entries before a snapshot equals the CRC in `proof`.
 
         Return True as well if this is not known: without a proof, at the beginning, after a gap.
         """

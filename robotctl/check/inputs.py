@@ -69,7 +69,7 @@ MAX_WAITING = 100_000
 
 
 class ShownValue(NamedTuple):
-    """A message: its number, its value as text (a nan is not equal to itself), and its log time."""
+    """The number of a message, its value as text and its log time. As text, NaN equals NaN."""
 
     sequence: int
     value: str
@@ -283,7 +283,7 @@ class InputPairs:
         self._waiting.clear()
 
     def end(self, t_ns: int, stalled_ns: int) -> None:
-        """Count what is not paired at the end `t_ns`; stalls may delay inputs by `stalled_ns`."""
+        """Count all unpaired inputs and messages at `t_ns`; stalls delayed inputs by `stalled_ns`."""
         left = [*self._waiting.rest()]
         newest = max((number for number, slot in left if slot.sent), default=0)
         newest = newest if self.has_one_publisher else 0

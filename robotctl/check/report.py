@@ -38,9 +38,9 @@ def rounded(text: str) -> str:
 class Divergence:
     """The first place where a new kernel decided differently.
 
-    `seq` and `t_ns` (steady) are those of the recorded entry. Both kernels decided on `event`, with
-    the effects `recorded` and `decided`, "" if missing; these three are texts `Name {json}`.
-    `before` is the new kernel's state before; `differences` describes each differing field.
+    `seq` and `t_ns` (steady) are those of the recorded entry. `event` is what both kernels decided
+    on; `recorded` and `decided` are the differing effects, "" if missing. All three have the form
+    `Name {json}`. `before` is the new kernel's state before the event.
     """
 
     seq: int

@@ -194,7 +194,7 @@ class Waiting(Generic[Entry, Sent]):
         self._slots.clear()
 
     def rest(self) -> Iterator[tuple[int, Slot[Entry, Sent]]]:
-        """Remove and yield all slots, at the end or where journal entries are missing."""
+        """Remove all slots and yield them: the journal has ended, or entries are missing."""
         while self._slots:
             yield self._oldest()
 

@@ -170,7 +170,7 @@ class Why:
 
 
 def explain(incident: Incident) -> Why:
-    """Return the explanation of an incident."""
+    """Return why the incident happened, what preceded and followed it, and what can be done."""
     return Why(
         what=_what(incident),
         remedies=_remedies(incident),

@@ -126,7 +126,7 @@ def _bounded(value: object) -> object:
 
 
 def parse(line: bytes) -> Entry:
-    """Return the entry in a line.
+    """Return the entry that `line` holds as JSON.
 
     Raises:
         ValueError: The line is not an entry.

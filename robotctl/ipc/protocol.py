@@ -304,7 +304,7 @@ class Peer(NamedTuple):
 
 
 def peer_of(sock: socket.socket) -> Peer:
-    """Return the process that called `connect` or `listen` at the other end of the socket."""
+    """Return the process at the other end of the socket, where it called `connect` or `listen`."""
     raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
     return Peer(*_UCRED.unpack(raw))
 

@@ -61,7 +61,7 @@ def distance_ahead(
 
 @lru_cache(maxsize=2)
 def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float) -> float:
-    """Return the least |y| [m] of all obstacles within `reach_m` along any path, inf if none."""
+    """Return the smallest |y| [m] of the obstacles within `reach_m` along any path, inf if none."""
     points = _points(sectors, params, farthest_m(params, reach_m))
     return min([abs(y) for _, y in points], default=inf)
 

@@ -58,7 +58,7 @@ class Turn:
         return Pose(self.start.x, self.start.y, self.start.theta + self.side * length)
 
     def curvature_at(self, length: float) -> float:
-        """Return `side`, the change of heading per rad."""
+        """Return `side`: a curve's change of heading per metre is here counted per rad."""
         return self.side
 
     def distance_to(self, point: Pose, guess: float) -> float:
@@ -80,7 +80,7 @@ class Circle:
 
     @property
     def top_curvature(self) -> float:
-        """The curvature, the same everywhere [1/m]."""
+        """The curvature [1/m], which is the same along the whole circle."""
         return 1.0 / self.radius
 
     def pose_at(self, length: float) -> Pose:

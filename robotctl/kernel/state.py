@@ -171,7 +171,7 @@ class State:
 
 
 def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:
-    """Return the first state after a restart if the emergency stop had not been released."""
+    """Return the first state after a restart for an emergency stop that was not released before."""
     return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=cause)
 
 

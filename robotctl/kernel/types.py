@@ -471,7 +471,7 @@ class ModeChanged:
 
 @dataclass(frozen=True, slots=True)
 class LatchEmergencyStop:
-    """An emergency stop that must survive restarts; a cause of None means the operator."""
+    """An emergency stop that must survive restarts; if `cause` is None, the operator stopped."""
 
     reason: str
     cause: Cause | None = None

@@ -143,7 +143,7 @@ class Definition:
         return one * (field.length or 0) if self.is_split(field) else 1
 
     def is_split(self, field: Field) -> bool:
-        """Return whether each value of a field has its own leaves, as in a short fixed array."""
+        """Return whether each element of `field` has its own leaves, as in a short fixed array."""
         if field.shape is not FieldShape.ARRAY or NUMBERS.get(field.type_name) == BYTE:
             return False
         return self.leaf_count(field.item) * (field.length or 0) <= MAX_SPLIT
@@ -180,7 +180,7 @@ def parse_definition(type_name: str, text: str) -> Definition:
     """Return the definition of a type from its ros2msg text.
 
     Raises:
-        UnreadableType: The text exceeds a limit, a line is no field, or `_checked` finds a fault.
+        UnreadableType: A limit is exceeded, a line is not a field, or a type is missing or invalid.
     """
     if len(text) > MAX_BYTES or len(text.encode(errors="replace")) > MAX_BYTES:
         raise UnreadableType(f"its text is longer than {MAX_BYTES} bytes")

@@ -134,7 +134,7 @@ def value_at(values: Mapping[str, Any], steps: Steps) -> Any:
 def leaves(definition: Definition, below: FieldPath | None = None) -> Iterator[FieldPath]:
     """Yield the leaves of a type, or of the field at the path `below`, in the order of definition.
 
-    A message without fields is yielded, too; it has no value and is no column of a table.
+    A message without fields is a leaf, too, but it has no value and no column in a table.
     """
     path = below or FieldPath((), Field("", definition.root))
     field, steps = path.field, path.steps

@@ -109,7 +109,7 @@ def encode_twist(twist: Twist) -> bytes:
 
 
 class StampedTwistEncoder:
-    """Serializes geometry_msgs/TwistStamped messages of one frame: only the numbers change."""
+    """Serializes geometry_msgs/TwistStamped messages that share one `frame_id`."""
 
     def __init__(self, frame_id: str) -> None:
         writer = _begun(frame_id)

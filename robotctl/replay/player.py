@@ -53,7 +53,7 @@ class SteadyClock:
         self._pointer = ctypes.addressof(self._until)
 
     def now_ns(self) -> int:
-        """Return the current time."""
+        """Return the time of the steady clock [ns]."""
         return time.monotonic_ns()
 
     def sleep_until(self, moment_ns: int) -> None:

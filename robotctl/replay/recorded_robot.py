@@ -26,7 +26,7 @@ MAX_POINTS: Final = 4000
 
 
 class RecordedRobot:
-    """The state of the robot at a time of the recording; None: unknown. `path` is in [m].
+    """The state of the robot at a time of the recording. Unknown values are None; `path` is in [m].
 
     `advance` only goes forward in time. With `loop`, each new pass begins with an empty path.
     """

@@ -141,9 +141,9 @@ class ReplayGuard:
         return [replace(route, name=absolute(route.name, self.prefix)) for route in routes]
 
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
-        """Return the routes that a robot would obey and the user did not name.
+        """Return the routes that would command a robot and that the user did not name.
 
-        With a prefix, the list is empty; without, it also has routes that have no subscriber yet.
+        Return none if a name prefix is set. A route counts even if its topic has no subscriber yet.
         """
         if self.prefix:
             return []

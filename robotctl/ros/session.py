@@ -79,7 +79,7 @@ class Session:
         return full(topic)
 
     def logger_name(self, node_name: str) -> str:
-        """Return the name of a node's logger on ROS; `node_name` is the node's default name."""
+        """Return a logger's name on ROS; `node_name` is the default name of the logger's node."""
         full = f"{self._namespace}/{self._node_names.get(node_name, node_name)}"
         return full.strip("/").replace("/", ".")
 

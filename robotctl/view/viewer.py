@@ -130,7 +130,7 @@ class OverfullOutbox(Exception):
 
 
 class Outbox:
-    """Queues frames: first offers, notes and answers, then small messages, then large messages."""
+    """Queues frames. Offers, notes and answers go first, then small messages, then large ones."""
 
     def __init__(self) -> None:
         self._control: deque[bytes] = deque()

@@ -72,7 +72,7 @@ class FolderStore:
             return _described(key, os.fstat(descriptor))
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return bytes `begin` to `end` (excluded); raise ObjectChanged if `found` is outdated."""
+        """Return the bytes `begin` to `end` - 1; raise ObjectChanged if `found` is outdated."""
         key = found.key
         with self._told(key), self._opened(key) as descriptor:
             if _described(key, os.fstat(descriptor)) != found:

@@ -229,9 +229,9 @@ def options_of(pattern: PatternKind) -> frozenset[str]:
 def refuse_options(
     what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
 ) -> None:
-    """Check that only `allowed` options are given, that is, have a value other than None.
+    """Check that no option outside `allowed` is given; an option with the value None is not given.
 
-    `what` names the motion in the error; `cure` is the advice if a wrong size option is given.
+    `what` is the motion's name in the error, and `cure` is the advice about a wrong size.
 
     Raises:
         UsageError: An option that is not allowed is given.

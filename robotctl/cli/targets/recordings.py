@@ -97,7 +97,7 @@ def file_path(text: str) -> Path:
 
 
 def recording_path(text: str) -> Path:
-    """Return the path on this computer that an argument names.
+    """Return the path on this computer that the argument `text` names.
 
     Raises:
         UsageError: The argument is a URL of a store.

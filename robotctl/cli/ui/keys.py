@@ -141,7 +141,7 @@ _SURROGATES_AND_ABOVE = 0xD800
 
 
 class KeyEvent(Enum):
-    """What happened to a key; a terminal without release events reports repeats as presses."""
+    """A change of a key's state. Some terminals report no releases, and repeats as presses."""
 
     PRESSED = 1
     REPEATED = 2

@@ -134,7 +134,7 @@ class StatusSource:
 
 
 def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Method[Any]]:
-    """Return the methods `status` and `stop`; the method `stop` sets the event `stop`."""
+    """Return the methods `status` and `stop` by name; calling `stop` sets the event `stop`."""
 
     async def get_status(_: NoParams) -> Status:
         stats = status.recording.stats()

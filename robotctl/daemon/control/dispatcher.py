@@ -54,7 +54,7 @@ class Journal:
 
 @dataclass(frozen=True, slots=True)
 class UnsavedReply(Reply):
-    """The reply to a stop that happened but could not be saved: a restart would not know of it."""
+    """The reply to a stop that happened but was not saved: a restart would forget the stop."""
 
 
 def granted(reply: Reply, robot: str) -> ModeAnswer:

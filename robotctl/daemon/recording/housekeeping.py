@@ -134,7 +134,7 @@ class Indexer:
         self._file_closed.set()
 
     async def run(self) -> None:
-        """Index the closed files each time that their number `has_grown`, until cancelled."""
+        """Index the recordings whenever the number of closed files `has_grown`, until cancelled."""
         indexed = 0
         while True:
             await self._file_closed.wait()

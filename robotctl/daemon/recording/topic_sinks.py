@@ -54,7 +54,7 @@ class TopicSinks:
         """Called with `TopicHealth.troubles()` each time that this text changes."""
 
     async def watch(self) -> None:
-        """Check all topics every LOOK_S, until cancelled."""
+        """Update the health of all topics every LOOK_S and report changes, until cancelled."""
         told = ""
         while True:
             if self.on_troubles is not None and told != (told := self.health.troubles()):

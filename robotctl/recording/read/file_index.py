@@ -71,7 +71,7 @@ class Place:
         """Return the records at this place, decompressed.
 
         Raises:
-            Damaged: They cannot be read, or contradict the summary.
+            Damaged: The records cannot be read, or contradict the summary.
         """
         if self.kind is PlaceKind.LOOSE:
             return file.read(self.offset, self.length)

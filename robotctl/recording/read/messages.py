@@ -271,7 +271,7 @@ class ReadableFile:
         self._on_progress = on_progress
 
     def channels(self) -> Sequence[tuple[Channel, Schema | None]]:
-        """Return the channels, and the schema of each."""
+        """Return each channel with its schema; the schema is None if it is missing."""
         schemas, channels = self.index.schemas, self.index.channels.values()
         return [(each, schemas.get(each.schema_id)) for each in channels]
 

@@ -150,7 +150,7 @@ class Tally:
             self.of[place] = number
 
     def others(self, place: int) -> int:
-        """Return the sum of all places but `place`."""
+        """Return the sum over all places except `place`."""
         return self.total - self.of.get(place, 0)
 
 

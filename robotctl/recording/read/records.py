@@ -182,10 +182,10 @@ class InputFile:
             yield self.read(offset, min(_PIECE_BYTES, end - offset))
 
     def record(self, offset: int) -> Record:
-        """Return opcode, begin and end of the record at `offset`, whose content is not read.
+        """Return where the record at `offset` begins and ends, and its opcode; skip the content.
 
         Raises:
-            Damaged: The file ends before its content.
+            Damaged: The file ends inside the opcode or the length of the record.
         """
         opcode, length = RECORD_HEAD.unpack(self.read(offset, RECORD_HEAD.size))
         return Record(opcode, offset, offset + RECORD_HEAD.size + length)

@@ -189,9 +189,9 @@ def read_data_section(
     stop: float = inf,
     on_progress: Callable[[int], None] = lambda offset: None,
 ) -> WholeData:
-    """Read the data section up to its DataEnd record, or up to the offset `stop`.
+    """Read the data section up to its DataEnd record or up to `stop`, and add faults to `flaws`.
 
-    `on_progress` gets the offset that is reached.
+    `on_progress` is called with the offset of each record that was read.
 
     Raises:
         Damaged: The file does not begin as an MCAP file, or the disk fails.

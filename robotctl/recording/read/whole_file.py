@@ -219,7 +219,7 @@ def find_footer(file: InputFile, data_end: int) -> Record:
 
 
 def ends_in_commit(file: InputFile, summary_start: int, end: int) -> bool:
-    """Return whether the bytes after `end` are the beginning of a commit that a kill interrupted.
+    """Return whether a kill interrupted a commit, whose first bytes therefore follow `end`.
 
     Such a file ends with a footer that points back to the summary before `end`, or to a copy of it:
     `McapFile` writes that footer first when it moves the trailer.

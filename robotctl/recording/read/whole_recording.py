@@ -43,7 +43,7 @@ MAX_MISSING: Final = 20
 
 @dataclass(slots=True)
 class Chain:
-    """The result of comparing the seals of files of the same robots with each other.
+    """The result of checking that the seals of each robot's files continue one another.
 
     `wrong` has a sentence for each file whose seal does not continue the seal of the file before,
     `absent` a sentence for each gap in the numbers of the files.

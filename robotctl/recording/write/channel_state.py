@@ -160,7 +160,7 @@ class ChannelState:
         return len(own) - freed
 
     def latched_messages(self) -> list[LatchedMessage]:
-        """Return a list of the latched messages, for the writer thread."""
+        """Return a copy of the latched messages; the writer thread may iterate over it."""
         return list(self.latched.values()) if self.latched else []
 
     @property

@@ -86,7 +86,7 @@ class Sealer(Protocol):
 
 
 class FileSeal:
-    """The seal of one file: a hash chain over header and data, with signatures from `open` on."""
+    """The seal of one file: a hash chain over header and data, signed after `open` was called."""
 
     def __init__(self, sealer: Sealer, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin the chain at the beginning of the file; `clock` returns monotonic time [s]."""
@@ -138,7 +138,7 @@ class FileSeal:
         return link.record()
 
     def head(self, covered: int) -> bytes:
-        """Return a signed link over the first `covered` bytes, for the summary; b"" on failure."""
+        """Return the link over the first `covered` bytes for the summary, b"" after a failure."""
         if self._seal is None:
             return b""
         self._head = self._signed(LinkKind.HEAD, covered)

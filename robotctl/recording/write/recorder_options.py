@@ -47,7 +47,7 @@ class TopicFilter:
         return not self._include or any(included)
 
     def can_leave_out(self, topic: str) -> bool:
-        """Return whether patterns may exclude the topic: False for the topics in `always`."""
+        """Return whether patterns may exclude `topic`; they may not if it is in `always`."""
         return topic not in self._always
 
 

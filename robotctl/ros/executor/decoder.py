@@ -56,7 +56,7 @@ class _Unusual(Exception):
 
 @lru_cache(maxsize=512)
 def decoder_of(message_type: Any) -> Decode:
-    """Return a function that decodes a `message_type` as `deserialize_message` does, but faster."""
+    """Return a function that decodes as `deserialize_message` does, but faster for most types."""
 
     def by_rclpy(data: bytes) -> Any:
         return deserialize_message(data, message_type)

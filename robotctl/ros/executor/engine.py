@@ -43,7 +43,7 @@ from robotctl.ros.executor.waitables import GuardSource, WaitableSource, WaitSet
 class Nodes:
     """Keeps the nodes of one executor; sets each node's attribute `executor`, as rclpy does.
 
-    The nodes are untyped here: rclpy's types allow its own executors only.
+    Nodes have the type Any here, because rclpy's types accept only rclpy's own executors.
     """
 
     def __init__(self, executor: Any) -> None:

@@ -40,7 +40,7 @@ def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
 
 
 def publishers(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the publishers of a topic; `topic` is a key of the dict that `topics` returns."""
+    """Return the publishers of `topic`, which is a name that `topics` returns."""
     return _endpoints(node, Role.PUBLISHER, topic, dds_names)
 
 
@@ -242,7 +242,7 @@ def _typed(names: Mapping[str, Iterable[str]]) -> list[dict[str, Any]]:
 
 
 def services(node: Node) -> dict[str, set[str]]:
-    """Return service name -> types, for every service whose request topic is discovered in DDS."""
+    """Return service name -> types, for each service whose request topic DDS has discovered."""
     found: dict[str, set[str]] = {}
     for topic, types in topics(node, dds_names=True).items():
         if match := _REQUEST_TOPIC.fullmatch(topic):

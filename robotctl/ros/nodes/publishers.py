@@ -30,7 +30,7 @@ LOCKING = frozenset({Mode.ERROR, Mode.EMERGENCY_STOP})
 
 
 class CommandLock:
-    """Publishes from `node` whether commands are locked; if `topic` is "", does nothing."""
+    """Publishes on `topic` whether commands are locked; does nothing if `topic` is ""."""
 
     def __init__(self, node: Node, topic: str) -> None:
         own = OwnTopic(topic, Bool, qos.LATCHED)
