@@ -66,7 +66,7 @@ class Motion:
         return [(c.t_s, c.angular_rps if self.is_turn else c.linear_mps) for c in self.commands]
 
     def way(self) -> list[tuple[float, float]]:
-        """Return each sample's time [s] and its distance [m] or turn [rad] from the first sample."""
+        """Return each sample's time [s], and its distance [m] or turn [rad] from the first one."""
         begin = self.samples[0].pose if self.samples else ORIGIN
         if not self.is_turn:
             return [(each.t_s, begin.express(each.pose).x) for each in self.samples]
@@ -495,7 +495,7 @@ SPEED_TOLERANCE = 0.1
 def file_lines(
     robot: str, base: Measured, settings: Mapping[str, object], proposed: list[Proposal]
 ) -> Iterator[str]:
-    """Yield the lines of a configuration file with the settings and the proposals."""
+    """Yield the lines of a configuration file: measured values as comments, proposals, settings."""
     yield f"# Proposed by robotctl commission for robot {robot}, from motions at"
     yield f"# {base.commanded_mps:g} m/s. Read it before you use it."
     yield "#"

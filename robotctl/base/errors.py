@@ -90,7 +90,7 @@ class NoDaemon(RobotctlError):
 
 
 class Refused(RobotctlError):
-    """The condition of a request does not hold; the text names this condition and the cure."""
+    """A request was refused because of a condition; the text names the condition and the cure."""
 
     exit_code = 4
     kind = "refused"

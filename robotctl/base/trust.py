@@ -159,7 +159,7 @@ class FolderChain:
 
 
 def user_text(uid: int) -> str:
-    """Return the name for a user in messages: the uid, with an explanation if it is unmapped."""
+    """Return "uid N" for a message; an unmapped user gets an explanation in addition."""
     if uid == OVERFLOW_UID:
         return f"uid {uid} (nobody, or a user that this container does not know)"
     return f"uid {uid}"

@@ -72,7 +72,7 @@ def closed_loop(
     """Yield every event with its effects from `begin_ns` (steady) on, without end.
 
     `requests` are ordered by time, and each reaches the kernel at its `t_ns`. The robot begins with
-    pose, velocity and battery level as the kernel knows them, or else with those of `start`.
+    the kernel's pose, velocity and battery level; what the kernel does not know comes from `start`.
 
     Raises:
         UnreadableFile: The kernel cannot continue from its state.

@@ -134,7 +134,7 @@ class DecidedCommand:
 
 
 class SentCommand(NamedTuple):
-    """A recorded command: message number `place`; the last event before it was at `t_ns`."""
+    """A recorded command with its count `place`; `t_ns` is the time of the event before it."""
 
     numbers: bytes
     publish_ns: int

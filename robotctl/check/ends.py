@@ -138,7 +138,7 @@ class JournalOrigin:
         self._was_received = not self._noted or message.log_ns != message.publish_ns
 
     def check(self, report: Report) -> None:
-        """Note what is not compared in a journal that was received."""
+        """Report what cannot be compared if the journal was received from another process."""
         if self.is_own:
             return
         report.notes.append(NOT_COMPARED)

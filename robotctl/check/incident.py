@@ -70,7 +70,7 @@ class Incident:
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """The result of a search: the incident, None if there is none, and what could not be read."""
+    """The result of a search: the incident or None, and in `missing` what could not be read."""
 
     incident: Incident | None
     missing: list[str]

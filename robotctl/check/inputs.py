@@ -77,7 +77,7 @@ class ShownValue(NamedTuple):
 
 
 class UnheardChange:
-    """Finds messages of one publisher that should have become inputs in the journal and did not."""
+    """Finds messages of one publisher that the journal lacks, although each should be an input."""
 
     def __init__(self, repeat_ns: int) -> None:
         """`repeat_ns`: after this time [ns] an unchanged value becomes an input again."""
@@ -95,7 +95,7 @@ class UnheardChange:
         self._before_ns = self._unheard_ns = 0
 
     def message(self, shown: ShownValue) -> None:
-        """Store a message, whose input may follow."""
+        """Store a message; the journal may still contain its input later."""
         self._waiting.append(shown)
 
     def heard(self, sequence: int) -> None:
@@ -283,7 +283,7 @@ class InputPairs:
         self._waiting.clear()
 
     def end(self, t_ns: int, stalled_ns: int) -> None:
-        """Count all unpaired inputs and messages at `t_ns`; stalls delayed inputs by `stalled_ns`."""
+        """Count all unpaired inputs and messages at `t_ns`; stalls delay inputs by `stalled_ns`."""
         left = [*self._waiting.rest()]
         newest = max((number for number, slot in left if slot.sent), default=0)
         newest = newest if self.has_one_publisher else 0
@@ -540,7 +540,7 @@ NAMES: Final = {
 
 
 class InputChecks:
-    """Compares each input that the recorded configuration uses with its messages."""
+    """Compares the inputs in the journal with their recorded messages, for each input in use."""
 
     def __init__(self, report: Report, topics: RobotTopics, stalls: RecordedStalls) -> None:
         """`stalls` collects the stalls of the control loop that the journal has."""

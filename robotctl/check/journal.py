@@ -92,7 +92,7 @@ def _wrong_in(params: KernelParams) -> str:
 
 
 def decide(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
-    """Return the effects of `event` in a kernel whose state came from a file.
+    """Return the effects of `event`. The kernel's state comes from a file and may be invalid.
 
     Raises:
         UnreadableFile: The kernel cannot continue from its state.

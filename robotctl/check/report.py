@@ -141,7 +141,7 @@ class Report:
 
     @property
     def other_version(self) -> str:
-        """The recording's version, marked if its journal has other fields than this version."""
+        """The recording's version; "with other fields" follows if the journal's fields differ."""
         return f"{self.version} with other fields" if self.has_other_format else self.version
 
     @property

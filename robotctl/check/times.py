@@ -220,6 +220,6 @@ class RecordedStalls:
             self._ends.append((event.t_ns, stalled_ns))
 
     def recent_ns(self, end_ns: int) -> int:
-        """Return the total [ns] of stalls that ended within RECENT_NS of `end_ns`, at most RECENT_NS."""
+        """Return the stalled time [ns] in the RECENT_NS before `end_ns`, at most RECENT_NS."""
         recent = (stalled_ns for t_ns, stalled_ns in self._ends if t_ns > end_ns - RECENT_NS)
         return min(sum(recent), RECENT_NS)

@@ -184,7 +184,7 @@ def explain(incident: Incident) -> Why:
 
 
 def rule_of(incident: Incident) -> Rule | None:
-    """Return the rule of the safety table that decided, None if no such rule did."""
+    """Return the safety rule that caused the incident, or None if no rule of the table did."""
     before, after, params = incident.before, incident.after, incident.params
     if before is None or after is None or params is None:
         return None

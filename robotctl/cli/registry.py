@@ -108,7 +108,7 @@ OTHER_WORDS = {
 
 
 def other_words() -> dict[str, str]:
-    """Return OTHER_WORDS, and each motion, such as "square", with its `robotctl drive` command."""
+    """Return advice by word: OTHER_WORDS and, for a motion, its `robotctl drive` command."""
     from robotctl.cli.commands.drive import MOTIONS
 
     return OTHER_WORDS | {word: f"`robotctl drive {word}`" for word in MOTIONS}

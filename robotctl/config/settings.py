@@ -316,7 +316,7 @@ def flat(config: Config) -> dict[str, object]:
 
 
 def as_in_file(value: Any) -> object:
-    """Return a value in the form that a file uses."""
+    """Return a setting's value as a configuration file has it: no enum member, no tuple."""
     if isinstance(value, Enum):
         return value.value
     return list(value) if isinstance(value, tuple) else value

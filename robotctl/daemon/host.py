@@ -62,7 +62,7 @@ MAX_WARNINGS: Final = 100
 
 
 class Diagnostics:
-    """Once a second, samples the message rates and publishes diagnoses of recorder and daemon."""
+    """Samples the message rates, and publishes diagnoses of recorder and daemon, once a second."""
 
     def __init__(
         self, session: Session, robot: str, recorder: RecorderReport, warnings: Warnings
@@ -79,7 +79,7 @@ class Diagnostics:
             await asyncio.sleep(PERIOD_S)
 
     def publish(self) -> None:
-        """Publish both diagnoses now."""
+        """Publish the diagnoses of recorder and daemon now."""
         stats = self._recorder.stats()
         of_recording = self._warnings.of_recording(stats)
         self._publisher.publish(

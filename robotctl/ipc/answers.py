@@ -95,7 +95,7 @@ class VelocityAnswer(TypedDict):
 
 
 class RobotFacts(TypedDict):
-    """The robot's part of `status`; None: unknown. A daemon with `--observe` knows none of them."""
+    """The robot's part of `status`. None means unknown; with `--observe`, every field is None."""
 
     mode: str | None
     phase: str | None
@@ -146,7 +146,7 @@ class RecorderAnswer(CountsAnswer):
 
 
 class RecordingFacts(TypedDict):
-    """The recording's part of `status`."""
+    """The fields of `status` about the recording."""
 
     topics: list[TopicAnswer]
     recorder: RecorderAnswer
@@ -297,7 +297,10 @@ class Graph(TypedDict):
 
 
 class GraphEndpoint(TypedDict):
-    """`qos` has reliability, durability, history and depth: "unknown" or 0 if DDS announces none."""
+    """A publisher or a subscription; `node` is "" while its node is unknown.
+
+    `qos` has reliability, durability, history and depth: "unknown" or 0 if DDS announces none.
+    """
 
     node: str
     type: str

@@ -190,7 +190,7 @@ def command_unheard(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def command_types_mixed(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if `stamped` is AUTO and nodes subscribe to both types, else ""."""
+    """Return a sentence if `stamped` is AUTO and there are subscribers of both types, else ""."""
     topic = health.command_topic
     taken = COMMAND_TYPES.intersection((topic.type_name, *topic.other_types))
     if params.command.stamped is not Stamping.AUTO or not topic.listeners or len(taken) < 2:

@@ -106,7 +106,7 @@ class Course:
     held: Held | None = None
 
     def refusal(self) -> str:
-        """Return what is wrong with these options, "" if nothing is."""
+        """Return what is wrong with the options of this course, or ""."""
         corner_m, angle_rad = self.corner_m, self.angle_rad
         if self.held is not None:
             return self.held.refusal()

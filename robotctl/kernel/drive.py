@@ -55,9 +55,9 @@ class Progress:
 
 
 def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns: bool) -> Progress:
-    """Return the progress of a reference and a lead that begin at `speed` [m/s].
+    """Return the first progress of a drive: its reference and its lead move at `speed` [m/s].
 
-    They begin at speed 0 if the first leg is a turn (`turns`), or would end before the lead.
+    Both begin at speed 0 if the first leg is a turn (`turns`) or is too short for the lead.
     """
     ahead = 0.5 * speed * dt_s * (ticks - 1)
     if turns or speed <= 0.0 or legs[0].length <= ahead:
@@ -184,7 +184,7 @@ class Drive:
         return held is not None and held.quiet_s > 0.0 and self.progress.length >= held.for_s
 
     def ending(self) -> str:
-        """Return why this drive ends: it is finished, or its client let go or became silent."""
+        """Return why this drive ends: it is finished, or its client released it or fell silent."""
         held = self.course.held
         if held is not None and held.is_held_to_run:
             return "let go" if held.is_let_go else f"not held for {held.for_s * 1e3:g} ms"
@@ -193,9 +193,9 @@ class Drive:
         return f"drive finished: {self.laps} lap{'' if self.laps == 1 else 's'}"
 
     def reference(self, lag_s: float = 0.0) -> Reference:
-        """Return the reference: its pose now, in the odom frame, and its motion `lag_s` later.
+        """Return where the reference is now, in the odom frame, and how it moves `lag_s` later.
 
-        For a held velocity, the reference stands at `origin`.
+        For a held velocity, the reference stands still at `origin`.
         """
         at, segments = self.progress, self.path.segments
         if not segments:

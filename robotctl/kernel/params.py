@@ -142,7 +142,7 @@ class BatteryScale(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BatteryParams:
-    """The topic of the battery ("": there is none), and the levels that allow motion."""
+    """The battery's topic, which is "" if there is none, and the levels that allow motion."""
 
     topic: str = topic("battery_state", "topic of the battery", optional=True)
     scale: BatteryScale = setting(BatteryScale.ONE, "the level of a full battery", Change.START)

@@ -197,7 +197,7 @@ class FigureEightPart:
         return self.whole.curvature_at(self.begin + length)
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance [m] from `point` to the whole curve, searched near length `guess`."""
+        """Return the distance [m] from `point` to the curve; the search starts near `guess` [m]."""
         return self.whole.distance_to(point, self.begin + guess)
 
 

@@ -207,7 +207,7 @@ def _open(segment: Segment, reach_m: float) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The properties of one kind of pattern: the name of its size, a default size, its path.
+    """The properties of a kind of pattern: its size's name and default, and its path for one lap.
 
     If `closed` is set, a lap ends where it begins; otherwise one lap is driven by default.
     `has_corner` and `has_angle` say whether `corner_m` and `angle_rad` of a `Course` apply.

@@ -32,8 +32,8 @@ class SecondOdometry:
 class OdometrySources:
     """The publishers of odometry. The robot follows one publisher at a time, number `followed`.
 
-    `names` has the number and the node name of each of the last publishers found, and `frames` has
-    the number and the frame. `dropped` counts the samples that were not used.
+    `names` has pairs of number and node name for the last publishers found, `frames` has pairs of
+    number and frame. `dropped` counts the samples that were not used.
     """
 
     followed: int = 0

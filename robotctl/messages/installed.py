@@ -140,7 +140,7 @@ def _file(package: str, kind: str, name: str) -> str:
 
 
 def installed_name(type_name: str) -> TypeName:
-    """Split the name of an installed type.
+    """Return the parts of `type_name`, the name of an installed type.
 
     Raises:
         UnusableType: ROS does not allow the name, or the type is not installed.

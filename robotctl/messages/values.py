@@ -112,7 +112,7 @@ def _text_reader(field: Field) -> Callable[[CdrReader], str]:
 
 
 def encode(definition: Definition, values: Mapping[str, Any]) -> bytes:
-    """Return the serialized form of values that fit the definition (see `filled`)."""
+    """Return `values` as a serialized message; they must fit the definition, as from `filled`."""
     writer = CdrWriter()
     _write(definition, Field("", definition.root), values, writer)
     return bytes(writer.data)

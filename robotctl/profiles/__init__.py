@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class Profile(Enum):
-    """The robots that have a file; the value is the name of the file without `.yaml`."""
+    """The robots for which there is a profile; the value is its file name without `.yaml`."""
 
     TURTLEBOT3 = "turtlebot3"
     TURTLEBOT4 = "turtlebot4"

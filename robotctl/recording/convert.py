@@ -312,7 +312,7 @@ _MAX_CHARACTERS: Final = 1 << 16
 
 
 def named_policies(profiles: str) -> str:
-    """Return a YAML list of QoS profiles with the names of policies in place of their numbers.
+    """Return a YAML list of QoS profiles with each policy's number replaced by its name.
 
     Text that is not such a list, or has no such numbers, is returned unchanged.
     """

@@ -69,7 +69,7 @@ _DESCRIBED_IN: Final = "ros2msg"
 
 
 class TopicTable:
-    """The messages of a topic as rows, which begin with the values of TIME_COLUMNS."""
+    """The messages of a topic as rows; the first values of a row are those of TIME_COLUMNS."""
 
     def __init__(self, recording: Recording, topic: TopicInfo) -> None:
         """Prepare the columns of the topic's type; `recording` must stay open.

@@ -132,7 +132,7 @@ class PlaybackControl:
 
 
 class Command(Enum):
-    """A change of playback, sent to the replay process when a key is pressed, or for Ctrl-Z."""
+    """A change of playback. A key press or Ctrl-Z sends it to the replay process."""
 
     PAUSE = "pause"
     RESUME = "resume"

@@ -99,7 +99,7 @@ COMMAND_NAME: Final = "cmd_vel"
 
 
 class DomainGraph(Protocol):
-    """The part of the ROS graph that ReplayGuard needs: the robots with a daemon in the domain."""
+    """The part of the ROS graph that ReplayGuard needs: all robots with a daemon in the domain."""
 
     def robots_with_daemon(self) -> list[str]:
         """Return the names of the robots whose daemons, of any user, are in the domain."""

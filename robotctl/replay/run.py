@@ -53,7 +53,7 @@ class ReplayReport:
             self._emit({"note": text})
 
     def skip(self, topic: str, reason: str) -> None:
-        """Report that a topic is not played; `reason` is a clause after "it": "has no type"."""
+        """Report that `topic` is not played; `reason` continues a sentence, as in "has no type"."""
         self.skipped[topic] = reason
         self.note(f"{topic} is skipped: it {reason}")
 
@@ -75,7 +75,7 @@ BEHIND_S = 0.05
 
 
 def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
-    """Return the progress of a replay; `behind` counts messages overdue by BEHIND_S."""
+    """Return position, rate and counts of a replay; `behind` counts messages late by BEHIND_S."""
     schedule, position_ns = player.control.schedule, player.position_ns
     behind = 0
     if schedule.rate is not None:

@@ -98,7 +98,7 @@ class Session:
         return self.node_of(Node, name)
 
     def node_of(self, kind: type[N], name: str) -> N:
-        """Create and return a node of class `kind`; see `node`."""
+        """Create and return a node of class `kind` with the default name `name`, as `node` does."""
         node = kind(
             self._node_names.get(name, name),
             context=self._context,

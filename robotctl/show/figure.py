@@ -164,7 +164,7 @@ class Label:
 
 
 def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
-    """Yield the strokes and labels of a figure: grid, numbers, lines; none if it has no lines."""
+    """Yield the strokes and labels: grid and numbers, then lines. Without lines, yield nothing."""
     if not figure.lines:
         return
     x, y = figure.axes(frame)

@@ -139,7 +139,7 @@ class Traces:
             self.modes.append(ModeSpan(t_s, t_s, mode, reason))
 
     def happened(self, t_s: float, kind: str, text: str) -> None:
-        """Add a moment; after MAX_MOMENTS, count it as left out."""
+        """Add a moment at `t_s`; if there are MAX_MOMENTS already, only count it as left out."""
         if self._has_room(self.moments, MAX_MOMENTS):
             self.moments.append(TracedMoment(t_s, kind, text))
 

@@ -64,7 +64,7 @@ QOS = """\
 
 
 def installed_topic(name: str, type_name: str) -> Topic:
-    """Return a topic with the installed definition of its type."""
+    """Return the topic `name` of type `type_name`, with the type's installed definition."""
     text, type_hash = installed_type(type_name)
     return Topic(name, type_name, text, type_hash, QOS)
 
@@ -102,10 +102,10 @@ def drive(
     then: Iterable[Event] = (),
     closed: bool = True,
 ) -> list[Written]:
-    """Return what a daemon writes and publishes while a simulated robot drives.
+    """Return what a daemon writes and publishes in `seconds` of driving a simulated robot.
 
-    `requests` are any events, by default `drive_requested()`. After the drive, `then` is handled.
-    If `closed` is False, the last snapshot is missing, as after the kill of a daemon.
+    The kernel first handles `requests`, by default one `drive_requested()`, and at the end `then`.
+    If `closed` is False, the last snapshot is missing, as if the daemon had been killed.
     """
     config = config or Config()
     asked = [drive_requested()] if requests is None else requests

@@ -36,7 +36,7 @@ class FailingFile(DiskFile):
         """A 1 for each byte that has been written."""
 
     def fail_now(self) -> None:
-        """Fail from the next write on."""
+        """Make the next write and all later writes fail."""
         self._writes_left = 0
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:

@@ -76,7 +76,7 @@ class Bench:
         return self.give(Tick(self.t_ns))
 
     def run(self, ticks: int) -> None:
-        """Run a number of ticks with a healthy robot that does not move."""
+        """Run `ticks` ticks with a healthy robot that does not move."""
         for _ in range(ticks):
             odometry = self.state.health.odometry
             self.odometry(ORIGIN if odometry is None else odometry.pose)

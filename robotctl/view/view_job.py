@@ -29,7 +29,7 @@ class LiveTarget:
 
 @dataclass(frozen=True, slots=True)
 class ViewJob:
-    """What to show, and where to listen."""
+    """What a live view shows, where it listens, and what its viewers may do."""
 
     live: LiveTarget
     host: str = "127.0.0.1"

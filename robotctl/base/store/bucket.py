@@ -355,7 +355,7 @@ class RequestLoop:
 
 @cache
 def requests() -> RequestLoop:
-    """Return the loop of this process; the first call creates it."""
+    """Return the loop that makes all requests of this process; the first call creates it."""
     loop = RequestLoop()
     atexit.register(loop.end)
     return loop

@@ -67,7 +67,7 @@ class FolderStore:
                         yield _described(path.relative_to(self._folder).as_posix(), status)
 
     def head(self, key: str) -> StoredObject:
-        """Return size, etag and time of a file."""
+        """Return size, etag and time of the file `key`."""
         with self._told(key), self._opened(key) as descriptor:
             return _described(key, os.fstat(descriptor))
 

@@ -152,7 +152,7 @@ def script(shell: Shell, root: Any) -> str:
 
 
 def with_script(text: str, script: str) -> str:
-    """Return the text of a start file with `script` instead of an earlier script, or appended."""
+    """Return `text`, a shell's start file, with `script` in it; an earlier script is replaced."""
     block = f"{BEGIN}{script}{END}"
     head, begin, rest = text.partition(BEGIN)
     _, end, tail = rest.partition(END)

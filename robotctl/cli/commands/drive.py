@@ -191,7 +191,7 @@ _OWNERS = {
 
 
 def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:
-    """Return the arguments `given` after `motion`, checked; [] for a path from a `topic`.
+    """Check the arguments `given` after `motion` and return them; none are needed with a `topic`.
 
     Raises:
         UsageError: There is no such motion, or its arguments are too many, too few or wrong.

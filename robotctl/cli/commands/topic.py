@@ -101,7 +101,7 @@ class Printer:
             raise UsageError(str(error)) from None
 
     def print(self, data: bytes, time_ns: int, publish_ns: int, *, with_time: bool) -> None:
-        """Print a serialized message, or its field: one line of JSON, or YAML that `---` ends.
+        """Print a serialized message, or its field, as one line of JSON or as YAML ended by `---`.
 
         A field with a single value is printed as one line. Without JSON, the time [s] is printed
         only `with_time`: in a YAML comment before the message, or on the value's line.

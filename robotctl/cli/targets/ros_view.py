@@ -47,7 +47,7 @@ class RosView:
     """Whether the robot's daemon answers about the graph; otherwise a new process does."""
 
     def names(self) -> Graph:
-        """Return all names of topics, services and nodes."""
+        """Return the names of all topics, services and nodes."""
         if self.through_daemon:
             return call(self.robot, GRAPH)
         answer: Graph = self._ask("names")

@@ -151,7 +151,7 @@ class KeyEvent(Enum):
 class Key(NamedTuple):
     """A key by its character, or `up`, `down`, `left`, `right`, or ANSWER.
 
-    `is_text`: the key came in a form that has no release event, as pasted text does.
+    `is_text` is True if the key came in a form without a release event, as pasted text does.
     """
 
     name: str
@@ -250,7 +250,7 @@ _IS_ANSWERED: Final = re.compile(rb"\x1b\[\?[\d;]*c")
 class ReleaseEvents:
     """A context in which the terminal reports key releases; `told` is False if it cannot.
 
-    A terminal that can mark pasted text does so, too. Use this within a `Keyboard` context.
+    If the terminal can mark pasted text, it does that as well. Use this in a `Keyboard` context.
     `suspend` and `resume` enclose the time in which another program uses the terminal.
     """
 
@@ -277,7 +277,7 @@ class ReleaseEvents:
             self._write((_END if self.told else b"") + _MARK_NO_PASTES)
 
     def resume(self) -> None:
-        """Switch on release events, if the terminal reports them, and paste marks."""
+        """Switch on paste marks, and release events as well if the terminal reports them."""
         if self._keys_from >= 0:
             self._write((_BEGIN if self.told else b"") + _MARK_PASTES)
 

@@ -84,7 +84,7 @@ def is_observer(status: Mapping[str, Any]) -> bool:
 
 
 def status_rows(status: Status) -> Iterator[tuple[str, str]]:
-    """Yield label and text of each row, except reason and topics; no text is wrapped yet."""
+    """Yield the label and the unwrapped text of each row; reason and topics are not among them."""
     if not is_observer(status):
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)
@@ -126,7 +126,7 @@ def pose_text(status: Mapping[str, Any]) -> str:
 def drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
     """Yield lines about a drive: what is driven and, if known, how far off its path the robot is.
 
-    The closure is how far the robot was from the end of the path when the last lap ended.
+    The lines may have a closure: the distance to the end of the path when the last lap ended.
     """
     now, rms, worst, true_m, heading, most, closure = (
         number(drive.get(key), ".3f")

@@ -116,7 +116,7 @@ class StatusSource:
         }
 
     def summary(self, notes: list[str]) -> StartSummary:
-        """Return what a ready daemon reports to the process that started it, `notes` included."""
+        """Return what a ready daemon reports, with `notes`, to the process that started it."""
         status = self.status(self.recording.stats())
         return {
             "ready": True,

@@ -87,7 +87,7 @@ ACCOUNT_PERIOD_NS = 100_000_000
 
 
 class Gate(Protocol):
-    """The part of the command publisher that the watchdog uses."""
+    """The methods of the command publisher that the watchdog uses."""
 
     def close_gate(self) -> None:
         """Pass only zeros from now on; called in the watchdog's thread."""

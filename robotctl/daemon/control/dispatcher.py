@@ -227,7 +227,7 @@ class Control:
         return self._requests.reply_now(event.request_id)
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
-        """Return the future of the end of the drive that request `request_id` will start."""
+        """Return a future that is set when the drive that `request_id` starts has ended."""
         return self._requests.ends.expect(request_id)
 
     def _step(self, event: Event) -> None:

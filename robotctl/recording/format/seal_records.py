@@ -56,8 +56,8 @@ def chained(before: bytes, hashed: bytes) -> bytes:
 class Link:
     """The digest of the first `covered` bytes of a file, and its signature.
 
-    `number` counts the links of kind LINK in the file from 1; a head has the next link's number.
-    `time_ns` is the wall time of its signature, in nanoseconds since the epoch.
+    `number` counts the links of kind LINK in the file from 1; a link of kind HEAD has the number of
+    the next LINK. `time_ns` is the wall time of the signature, in nanoseconds since the epoch.
     """
 
     kind: LinkKind

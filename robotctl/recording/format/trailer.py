@@ -103,7 +103,7 @@ class Trailer(NamedTuple):
         return [self.data_end, *self.summary, self.offsets]
 
     def behind(self, position: int) -> list[Buffer]:
-        """Return the bytes of the trailer from offset `position` (in the trailer) to its end."""
+        """Return the bytes of the trailer from `position`, an offset in the trailer, to its end."""
         parts: list[Buffer] = []
         for part in self.parts:
             parts.append(memoryview(part)[max(position, 0) :])

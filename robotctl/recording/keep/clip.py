@@ -79,7 +79,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What a clip is about: an event of the recording, or any time (`kind` is then None)."""
+    """What a clip is about: an event of the recording or, if `kind` is None, just a time."""
 
     log_ns: int
     kind: EventKind | None = None

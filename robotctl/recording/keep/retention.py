@@ -25,8 +25,7 @@ from robotctl.recording.read.records import InputFile
 
 
 def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
-    """Write a `metadata.yaml` into `folder` that lists `files` in this order, except those that
-    cannot be read.
+    """Write a `metadata.yaml` for `files`, in this order, into `folder`; skip unreadable files.
 
     Raises:
         OSError: `metadata.yaml` cannot be written, or a file cannot be opened.

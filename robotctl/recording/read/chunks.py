@@ -128,7 +128,7 @@ def stored_size_of(length: int, compression: str) -> int:
 
 
 def read_chunk(file: InputFile, head: ChunkHead, *, torn: bool = False) -> bytes:
-    """Return the chunk's records, decompressed and checked; those of a `torn` chunk unchecked.
+    """Return the chunk's records, decompressed; check size and CRC unless the chunk is `torn`.
 
     Raises:
         Damaged: The chunk is corrupt, or exceeds the limits.

@@ -197,7 +197,7 @@ class RemoteSource:
         return self._size
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return `length` bytes at `offset`, or fewer; none only at the end."""
+        """Return at most `length` bytes from `offset` on; the result is b"" only at the end."""
         return self._reader.read(offset, length)
 
     def is_written(self) -> bool:

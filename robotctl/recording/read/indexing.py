@@ -491,8 +491,8 @@ def index_of(
 ) -> FileIndex:
     """Return the index of a file, from its summary or, if that is not valid, by a scan.
 
-    `on_progress` gets the offset that a scan has reached. Without `places`, this takes less time,
-    and the messages cannot be read with the index.
+    `on_progress` gets the offset that a scan has reached. If `places` is False, the index is made
+    faster, but messages cannot be read with it.
 
     Raises:
         Damaged: Not even the header can be read.

@@ -115,7 +115,7 @@ class RecordingFile:
         self._synced = False
 
     def write_topics(self) -> None:
-        """Write the topics that were added to `channels`, even without messages."""
+        """Commit the topics that were added to `channels`, including those without messages."""
         if self._announce_topics():
             self._mcap.commit()
             self._synced = False
@@ -351,7 +351,7 @@ class BagWriter:
             self._on_split(successor.path)
 
     def check_space(self) -> None:
-        """Set the warning when disk space is low.
+        """Set or clear the warning about low disk space.
 
         Raises:
             OSError: Less than `stop_free_bytes` are left.
@@ -372,7 +372,7 @@ class BagWriter:
     def refresh_metadata(self) -> None:
         """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
 
-        Players rely on its list. Only the oldest file is looked for: retention removes that first.
+        Players rely on its list. Only the oldest file is checked: retention removes it first.
         """
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:

@@ -36,7 +36,7 @@ class SequenceGaps:
     _missing: dict[bytes, set[int]] = field(default_factory=dict)
 
     def note(self, gid: bytes, sequence: int) -> None:
-        """Count messages missing before `sequence`; a late message is not missing any more."""
+        """Count the messages missing before `sequence`; one that arrives late is subtracted."""
         if sequence <= 0:
             return
         expected = self.expected.get(gid)

@@ -277,7 +277,7 @@ class McapFile:
         self.summary.add(Opcode.METADATA_INDEX, record_bytes(index))
 
     def add_attachment(self, attachment: Attachment) -> None:
-        """Add an attachment."""
+        """Add an attachment to the pending data, and its index to the summary."""
         data = record_bytes(attachment)
         index = AttachmentIndex(
             offset=self._data_end + len(self._pending),

@@ -31,7 +31,7 @@ class LoopThread:
         return threading.get_ident() == self._thread_id
 
     def open(self, loop: AbstractEventLoop) -> None:
-        """Run the kept and all later functions in `loop`; call this in the thread of `loop`."""
+        """Run the functions kept so far and all later ones in `loop`; call this in its thread."""
         with self._lock:
             self._loop, self._thread_id = loop, threading.get_ident()
             waiting, self._waiting = self._waiting, []

@@ -8,7 +8,7 @@ from typing import Any
 
 
 class UnsupportedPlatform(RuntimeError):
-    """This platform or middleware cannot announce new data on an eventfd; `str()` gives the reason."""
+    """This platform or middleware cannot announce new data on an eventfd; the message says why."""
 
 
 class RclCallFailed(RuntimeError):

@@ -320,7 +320,7 @@ class Runtime:
         self._parked.setdefault(group, {})[source] = None
 
     def release(self, group: CallbackGroup) -> None:
-        """Resume each `Source` that was parked for this callback group, which is free now."""
+        """Resume each `Source` that was parked because `group` was busy."""
         for source in self._parked.pop(group, ()):
             source.resume()
 

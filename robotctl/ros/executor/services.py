@@ -70,7 +70,7 @@ class ServiceSource(EventFdSource):
 
 
 class ClientSource(EventFdSource):
-    """A service client: when a response arrives, sets the future of its request.
+    """Waits for the responses to a service client, and completes the future of each request.
 
     Its callback group does not hold back responses: a response runs no callback of the group, and
     an async callback that awaits a client of its own group would otherwise never end.

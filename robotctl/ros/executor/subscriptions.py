@@ -261,7 +261,7 @@ class RawTapSource(_TakenSource):
 
 
 def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
-    """Return how long messages may be collected [s]: `wanted_s`, or less if the queue is short.
+    """Return how long [s] to collect messages: `wanted_s`, or less if the queue is short.
 
     Return 0 if the queue is too short for a rest that saves CPU time.
     """

@@ -32,7 +32,7 @@ def report_values(
     read: Callable[[bytes], T],
     on_value: Callable[[T, str, int], None],
 ) -> Subscription:
-    """Subscribe on node `_recorder` to publishers of any QoS; report each message's value.
+    """Subscribe to publishers of any QoS on node `_recorder`, and call `on_value` for each message.
 
     `read` returns the value of a serialized message, and must not raise. `on_value(value,
     publisher, sequence)` gets the publisher's gid in hex and the publisher's sequence number.

@@ -42,7 +42,7 @@ NODE_NAME = "mode_service"
 
 
 def names(session: Session) -> dict[str, str]:
-    """Return "topic.NAME" or "service.NAME" -> its full name, even before it exists on ROS."""
+    """Return full ROS names by "topic.NAME" and "service.NAME", also before they exist on ROS."""
     return {
         "topic.robot_status": session.resolve(STATUS.name, NODE_NAME),
         **{f"service.{name}": session.resolve(name, NODE_NAME) for name in (SET_MODE, ESTOP)},
