@@ -292,7 +292,7 @@ class CommandPairs:
         self._lacking = self._lacking_recent = 0
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Read a step: each command among the effects should have a recorded message."""
+        """Process a journal step; each command among its effects should have a recorded message."""
         if not self.is_counting:
             return
         self._t_ns, self._log_ns, _ = moments

@@ -605,7 +605,7 @@ class InputChecks:
                 each.message(message)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Read an event of the journal if it is an input; `seq` is the number of its entry."""
+        """Compare the journal entry `seq` with recorded messages if its event is an input."""
         if not isinstance(event, _Input) or moments[1] < self._topics.clip_begin_ns:
             return
         key: object = event.kind if isinstance(event, SafetyInputReceived) else type(event)

@@ -67,9 +67,9 @@ class RobotTopics:
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def told(self, key: str) -> tuple[str, bool]:
-        """Return the full name of a topic or service, and whether the metadata names it as `key`.
+        """Return the full name of a topic or service, and whether the metadata has it under `key`.
 
-        If it does not, the name is the last part of `key`, in the robot's namespace.
+        Without metadata, the name is the last part of `key`, in the robot's namespace.
         """
         told = self.values.get(key)
         return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None

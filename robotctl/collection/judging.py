@@ -163,7 +163,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Judging:
-    """The data that each job of a gate needs; they can be sent to another process or machine."""
+    """The data that each job of a gate needs, for use in any process or on another machine."""
 
     settings: dict[str, str]
     store: ResultStore
@@ -203,7 +203,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the stored result or, for an unreadable recording, the problem; None if neither.
+        """Return the stored result, None without one, or the problem of an unreadable recording.
 
         Raises:
             Refused: The store cannot be read.

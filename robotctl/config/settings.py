@@ -165,7 +165,7 @@ _TEXTS: Final[Mapping[str, tuple[Callable[[str], object], str, str]]] = {
 
 
 def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
-    """Return `value` as a `kind`, the type of `key`; `metadata` is from the dataclass field.
+    """Return `value` as the type `kind` of `key`; `metadata` is that of the dataclass field.
 
     Raises:
         ConfigError: The value is not allowed; the error says which values are.
@@ -295,7 +295,7 @@ def check_all(config: Config) -> None:
 
 
 def with_text(config: Config, key: str, text: str) -> Config:
-    """Return `config` with the dotted `key` set to the value that a command line gives as text.
+    """Return `config` with the dotted `key` set to the value that `text` means on a command line.
 
     Raises:
         ConfigError: There is no such key, or the value is not allowed.

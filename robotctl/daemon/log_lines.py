@@ -126,7 +126,7 @@ class LineHandler(QueueHandler):
         self._queue(self._repeats.admit(record))
 
     def close(self) -> None:
-        """Queue the notes about the last repeated records."""
+        """Queue the notes about repeated records that are not queued yet, and close the handler."""
         self._queue(self._repeats.end())
         super().close()
 

@@ -150,7 +150,7 @@ def encode_error(
 ) -> bytes:
     """Encode one error line.
 
-    `exit_code` is the exit code of the client's process, `details` are those of a RobotctlError.
+    The client's process exits with `exit_code`; `details` come from a RobotctlError.
 
     Raises:
         ValueError: `details` contains NaN or infinity.

@@ -66,9 +66,10 @@ def seal_of_repair(written: WrittenFile) -> Iterator[bytes]:
 
 
 def seal_of_copy(file: InputFile) -> Iterator[bytes]:
-    """Yield the records to add to the copy of a sealed file: the opening of the original, and an
-    unsigned link of kind REPAIRED, which covers no byte and has the newest digest that was read
-    from the original. Yield nothing for a file without a seal.
+    """Yield the seal records for a copy of a sealed file, or nothing if the file has no seal.
+
+    They are the opening of the original, and an unsigned link of kind REPAIRED, which covers no
+    byte and has the newest digest that was read from the original.
     """
     opening: Opening | None = None
     newest = Link(LinkKind.REPAIRED, number=1, covered=0, time_ns=0, digest=NO_DIGEST)

@@ -42,8 +42,8 @@ class PlaceKind(Enum):
 class Place:
     """A part of the file that holds messages: `length` bytes at `offset`, log times in ns.
 
-    `channels` are the ids of the channels with messages there, None if unknown. `unpacked_bytes`
-    and `compression` are what the summary says about a chunk: None and "" if it says nothing.
+    `channels` are the ids of the channels with messages there, None if unknown. For a chunk,
+    `unpacked_bytes` and `compression` come from the summary; they are None and "" if it lacks them.
     """
 
     kind: PlaceKind

@@ -143,7 +143,7 @@ class Tally:
     total: int = 0
 
     def note(self, place: int, number: int) -> None:
-        """Set the number of a place, unless the place already has a higher one."""
+        """Set the count of `place` to `number`, unless its count is already higher."""
         known = self.of.get(place, 0)
         if number > known:
             self.total += number - known

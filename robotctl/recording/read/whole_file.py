@@ -90,7 +90,7 @@ class SealOfRead:
 
 
 def check_seal(file: InputFile, data: WholeData, state: FileState, loose: int) -> SealOfRead:
-    """Check the seal of a file whose `data` was read; its last `loose` bytes need no seal.
+    """Check the seal of a file whose `data` was read; the last `loose` bytes may be unsealed.
 
     Raises:
         Damaged: The disk fails.

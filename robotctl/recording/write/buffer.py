@@ -66,7 +66,7 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the bytes of the indexes to `size`, and return their number. For a full buffer."""
+        """Add the bytes of the indexes to `size`, and return their number. The buffer must be full."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added
@@ -198,10 +198,10 @@ class ChunkEncoder:
         self._compressor = ZstdCompressor(compression_params=parameters)
 
     def encode(self, packed: PackedMessages) -> Chunk:
-        """Return one or more messages as a chunk.
+        """Return the messages as one chunk.
 
         Raises:
-            OutOfMemory: There is no memory to compress them.
+            OutOfMemory: There is no memory to compress the messages.
         """
         try:
             return self._encode(packed)

@@ -90,8 +90,8 @@ def free_space(folder: Path) -> int:
 class RecorderOptions:
     """Sizes and times of the recorder.
 
-    Messages are written to the file, before a valid footer, when they fill `chunk_bytes` or after
-    `flush_s`, whichever comes first. A new file begins at `split_bytes`, or after `split_s`.
+    Messages are written when they fill `chunk_bytes` or after `flush_s`, whichever comes first; a
+    valid footer always follows. A new file begins at `split_bytes`, or after `split_s`.
     """
 
     compression: Compression = Compression.ZSTD

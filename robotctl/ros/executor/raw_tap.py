@@ -192,7 +192,7 @@ class SerializedTaker:
         }
 
     def free(self) -> None:
-        """Free the buffer; the next take would allocate another."""
+        """Free the buffer; the next message that is read allocates a new one."""
         if self.lent is not None:
             self.lent.release()
         self.lent = self._buffer = None

@@ -56,7 +56,7 @@ class _Waiting:
 
 
 class Replies:
-    """Sends each response as soon as its client's reader is discovered; for the loop's thread."""
+    """Sends each response once its client's reader is discovered. Use this in the loop's thread."""
 
     def __init__(
         self, runtime: Runtime, where: str, readers: Callable[[], Container[bytes]]

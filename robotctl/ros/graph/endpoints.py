@@ -45,7 +45,7 @@ def publishers(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpo
 
 
 def subscriptions(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the subscriptions to a topic; `topic` is as in `publishers`."""
+    """Return the subscriptions to `topic`, which is a name that `topics` returns."""
     return _endpoints(node, Role.SUBSCRIPTION, topic, dds_names)
 
 

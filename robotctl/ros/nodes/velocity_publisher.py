@@ -153,7 +153,7 @@ class VelocityPublisher:
         return named_nodes(each for each in publishers if each.gid != self.gid)
 
     def listeners(self) -> tuple[int, tuple[str, ...], str]:
-        """Return how many subscriptions have our type; other subscriptions' types; and our type.
+        """Return the count of subscriptions with our type, the types of the others, and our type.
 
         Subscriptions of recorders, monitors and tools are left out: they move no robot.
         """

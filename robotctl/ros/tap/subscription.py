@@ -82,7 +82,7 @@ class LatchedMerge:
 
 
 def offered_types(node: Node, topic: str) -> dict[str, list[QoSProfile]]:
-    """Return type -> its publishers' QoS profiles, the type with the most publishers first."""
+    """Return the QoS profiles of a topic's publishers by type, the most frequent type first."""
     found: dict[str, list[QoSProfile]] = {}
     for info in endpoints.publishers(node, topic):
         found.setdefault(info.topic_type, []).append(info.qos_profile)

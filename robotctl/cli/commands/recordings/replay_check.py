@@ -44,7 +44,7 @@ def check_command(
 
 
 def report_lines(report: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines to print for one checked recording, whose object in `--json` is `report`."""
+    """Yield the lines to print for a checked recording; `report` is its object in `--json`."""
     verdict = Verdict(report["verdict"])
     yield f"{verdict.value:{LABEL_WIDTH}}{short_path(report['path'])}"
     if report["events"]:
@@ -247,7 +247,7 @@ _SIDES = {"recorded": "recorded", "simulated": "simulated", "what_if": "what if"
 
 
 def resim_lines(found: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines to print for one recording; `found` is its object in `--json`."""
+    """Yield the lines to print for a simulated recording; `found` is its object in `--json`."""
     yield f"{short_path(found['path'])}, {duration(found['duration_s'])}"
     yield "  Simulated: the recorded parameters and requests, with a simulated robot."
     sides = [side for side in _SIDES if side != "what_if" or found["settings"]]

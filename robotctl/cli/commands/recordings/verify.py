@@ -196,8 +196,8 @@ def _links(file: WholeFile, start_ns: int, end_ns: int) -> dict[str, Any] | None
 def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> dict[str, Any]:
     """Verify each recording and the chain of all files, and compare them with `known_heads`.
 
-    Return the object for `--json`: `recordings`, and the summary. If `head` is given, one of the
-    recordings must contain this digest.
+    Return the object for `--json`: `recordings` and the fields of the summary. If `head` is given,
+    one of the recordings must contain this digest.
     """
     from robotctl.recording.read.whole_recording import Chain, VerifiedRecording, verify_recording
     from robotctl.recording.seal import known_heads
