@@ -39,7 +39,7 @@ RECEIVED, SENT = 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """A service; without `has_mode`, a call has no field for a mode and means EMERGENCY_STOP."""
+    """A service that requests a mode; if `has_mode` is False, each call requests EMERGENCY_STOP."""
 
     name: str
     type_name: str

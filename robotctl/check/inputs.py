@@ -254,7 +254,7 @@ class InputPairs:
         return (last - first) * NS_PER_S / (self._last_ns - self._first_ns)
 
     def message(self, message: Message, value: Any) -> None:
-        """Read a message of the topic."""
+        """Store a message of the topic, and pair it with a journal entry of the same number."""
         number = message.sequence
         if (
             number <= self._newest
@@ -397,7 +397,7 @@ class InputCheck:
         self._is_on = False
 
     def message(self, message: Message) -> None:
-        """Read a message; skip the copy of a latched message, with which each file begins."""
+        """Compare a message, unless it is a latched message that a new file only repeats."""
         if not self._is_on or (self._is_latched and self._repeats.observe(message)):
             return
         value = self._read(message.data)

@@ -203,8 +203,8 @@ class Invariants:
 def unbalanced(ledger: Mapping[str, Mapping[str, int]], *, finished: bool) -> Iterator[str]:
     """Yield a sentence for each topic of a loss ledger whose counts do not add up.
 
-    In the last file of a `finished` recording received = written + dropped; at the end of an
-    earlier file messages may be queued for the next one.
+    If the recording is `finished`, received must equal written + dropped. Otherwise received may be
+    larger, because messages can be queued for the next file.
     """
     for topic, counts in ledger.items():
         received, written, dropped = (counts.get(n, 0) for n in ("received", "written", "dropped"))

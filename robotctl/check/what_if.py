@@ -144,10 +144,10 @@ class DriveCommands:
 def drives_of_both(
     recorded: Mapping[int, DriveCommands], other: Mapping[int, DriveCommands], begin_ns: int
 ) -> list[dict[str, Any]]:
-    """Return the drives of two kernels, side by side, as JSON values, in their order.
+    """Return the drives of two kernels, side by side, as JSON values, in the order of their begin.
 
     A drive is `None` on the side that did not begin it. `measured` is what the robot did under the
-    recorded commands; how the robot would have followed the other commands is not known.
+    recorded commands; nobody knows how it would have followed the commands of the other kernel.
     """
 
     def began_ns(request_id: int) -> int:

@@ -105,7 +105,7 @@ class SafetyInputParams:
     diagnostics: DiagnosticsParams = field(default_factory=DiagnosticsParams)
 
     def of(self, kind: SafetyInput) -> InputParams:
-        """Return the parameters of an input."""
+        """Return the parameters of the input `kind`."""
         params: InputParams = getattr(self, kind.value)
         return params
 

@@ -66,7 +66,7 @@ def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
 
 
 def is_named(topic: TopicInfo, names: Collection[str]) -> bool:
-    """Return whether `names` contains the name of the topic or of its service."""
+    """Return whether `names` contains the topic, or the service whose events the topic has."""
     return not _names(topic).isdisjoint(absolute(name) for name in names)
 
 

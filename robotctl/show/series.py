@@ -81,7 +81,7 @@ class Series:
 
     @property
     def most(self) -> float | None:
-        """The largest value, None if there is none."""
+        """The largest value, None for a series without values."""
         return max((column.most for column in self._columns.values()), default=None)
 
     def lines(self) -> Iterator[list[Sample]]:

@@ -42,7 +42,7 @@ _HEADER = struct.pack("<4siII1s3x", ENCAPSULATION, 0, 0, 1, b"\0")
 
 
 def safety_message(kind: SafetyInput, value: float, detail: str = "") -> bytes:
-    """Return an input's message, b"" if `value` is NaN; `detail` is a diagnostic NAME: TEXT."""
+    """Return a message of `kind`, b"" if `value` is NaN; `detail` is a diagnostic as NAME: TEXT."""
     if isnan(value):
         return b""
     if kind is SafetyInput.JOY:

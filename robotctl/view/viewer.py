@@ -158,7 +158,7 @@ class Outbox:
         """Add a frame that is never dropped.
 
         Raises:
-            OverfullOutbox: With those that wait already, there would be over MAX_CONTROL_BYTES.
+            OverfullOutbox: The control frames would exceed MAX_CONTROL_BYTES.
         """
         if self._control and self._control_bytes + len(frame) > MAX_CONTROL_BYTES:
             raise OverfullOutbox

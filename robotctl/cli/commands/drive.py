@@ -135,7 +135,7 @@ def _with_picture(robot: str, answer: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tracking_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines to print about a drive: distance, errors, and the path of its picture."""
+    """Return the lines to print about a drive: distance, errors, and where its picture is."""
     rms, worst, closure, distance = (
         number(result.get(key), ".3f")
         for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")

@@ -120,7 +120,7 @@ class TeleopScreen:
 
 
 def view_below(lines: list[str], status: Status) -> RenderableType:
-    """Return `lines`, and the live view of `status` below; a small terminal cuts off the end."""
+    """Return `lines` and below them the live view of `status`, which a small terminal cuts off."""
     from rich.console import Group
     from rich.text import Text
 

@@ -178,7 +178,7 @@ class MessageListener:
         return self._child.fileno()
 
     def receive(self, seconds: float) -> Iterator[dict[str, Any]]:
-        """Yield the messages that have arrived; nothing if none comes within `seconds`.
+        """Yield the messages that have arrived. Wait for one at most `seconds`, then yield nothing.
 
         Raises:
             RobotctlError: The process that listens has ended, or reported an error.

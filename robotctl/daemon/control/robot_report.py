@@ -39,7 +39,7 @@ class TrueErrors(NamedTuple):
 
 
 class GroundTruth:
-    """Computes a drive's errors from the true pose that `truth()` returns (None: a real robot).
+    """Computes a drive's errors from the true pose; `truth()` returns None for a real robot.
 
     The true path is moved so that it begins at the first measured pose: earlier drift is no error.
     """

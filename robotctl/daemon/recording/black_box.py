@@ -50,7 +50,7 @@ def clip_command(job: ClipJob) -> Sequence[str]:
 
 
 class BlackBox:
-    """Starts the processes that cut clips, with the lowest priority; for the loop's thread."""
+    """Starts processes with the lowest priority that cut clips. Use this in the loop's thread."""
 
     def __init__(
         self,

@@ -121,7 +121,7 @@ MAX_TOPICS = 100
 
 
 def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-    """Return the recorder's diagnosis: ERROR if it does not record, WARN after losses or warnings."""
+    """Return the recorder's diagnosis: ERROR unless it records, WARN after losses or warnings."""
     if stats.state is not RecorderState.RECORDING:
         level, message = DiagnosticLevel.ERROR, stats.failure or stats.state.value
     elif stats.dropped or stats.lost:

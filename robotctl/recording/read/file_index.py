@@ -231,7 +231,7 @@ class FileIndex:
             self.channels[channel.id] = channel
 
     def unaccounted(self) -> str:
-        """Return a sentence if all messages were read and the summary's count differs, else ""."""
+        """Return a sentence if all places were read but the message count is wrong, else ""."""
         read = self.messages_read
         if self.scanned or self.limit_reached or not self.places:
             return ""  # another sentence says why not all was read
@@ -283,7 +283,7 @@ def read_chunk_times(data: bytes, position: int, end: int) -> tuple[int, int]:
 
 
 def read_chunk_index(data: bytes, position: int, end: int) -> tuple[Place, int]:
-    """Return the chunk that a chunk index describes, and the offset after its message indexes.
+    """Return the chunk that a chunk index describes, and the offset after its MessageIndex records.
 
     The content of the record is `data[position:end]`.
 

@@ -233,7 +233,7 @@ class PlaceReader:
 def place_readers(
     files: Iterable[OpenFile], topics: Collection[str] | None, window: Window
 ) -> Iterator[PlaceReader]:
-    """Yield a reader for each place in `window` that may hold messages of `topics`; None: of any."""
+    """Yield a reader for each place in `window` that may hold messages of `topics` (None: all)."""
     for file in files:
         names = names_of(file.index, topics)
         for place in file.index.places:

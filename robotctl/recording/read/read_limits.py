@@ -96,7 +96,7 @@ class ReadLimits:
         """Return the limits of a file that takes `stored_bytes` on the disk.
 
         Raises:
-            UsageError: The environment variable is not a valid factor.
+            UsageError: The factor for the limits in the environment is not valid.
         """
         factor = _factor()
 

@@ -128,8 +128,8 @@ class WholeData(FileIndex):
     """The content of a data section; offsets in bytes, times in nanoseconds.
 
     `end` is the offset of the DataEnd record, or where the reading had to stop. `crc` is the
-    checksum of all bytes before `end`, `told_crc` the checksum in the DataEnd record (0 means that
-    the writer computed none), or None without such a record.
+    checksum of all bytes before `end`. `told_crc` is the checksum in the DataEnd record; 0 means
+    that the writer computed none, and None means that there is no such record.
     """
 
     end: int = 0
@@ -160,7 +160,7 @@ class WholeData(FileIndex):
     """The offset of a commit that was not finished; it reaches to the end of the data."""
 
     def state(self) -> FileState:
-        """Return how the writing of the file ended; only for a file that does not grow."""
+        """Return how the file was ended. Do not call this while the file is growing."""
         if not self.own:
             return FileState.FOREIGN
         for name, state in _STATES.items():

@@ -66,7 +66,7 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the bytes of the indexes to `size`, and return their number. The buffer must be full."""
+        """Add the bytes of the indexes to `size`, and return their number; the buffer is full."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added
@@ -139,7 +139,7 @@ class LargeMessage:
         return len(self._message[1])
 
     def take(self) -> PackedMessages:
-        """Return the message as a chunk of its own.
+        """Return the message as a chunk that holds nothing else.
 
         Raises:
             MemoryError: There is no memory for the chunk.

@@ -65,7 +65,7 @@ def report_wanted_commands(
     command: CommandType,
     on_command: Callable[[Twist, str, int], None],
 ) -> Subscription:
-    """Report each velocity that another node requests on `topic`, NaN if it is unreadable."""
+    """Call `on_command` for each velocity requested on `topic`; an unreadable one becomes NaN."""
 
     def read(data: bytes) -> Twist:
         try:

@@ -135,9 +135,9 @@ def compare_command(
 ) -> None:
     """Compare each recording with a re-run under `settings`; print tables, or one JSON object.
 
-    With `resim`, a simulated robot repeats the recorded drives, and settings of that robot and
-    `rate_hz` are allowed, too. Without it, the recorded measurements are used. An argument among
-    `files` that has an equals sign and names no file is one more setting.
+    With `resim`, a simulated robot repeats the recorded drives, and `settings` may also change that
+    robot and `rate_hz`. Without it, the recorded measurements are used. An argument among `files`
+    that has an equals sign and names no file is one more setting.
 
     Raises:
         UsageError: A setting is not allowed, or no recording is given.
