@@ -70,7 +70,7 @@ def ok(check: str, text: str) -> Finding:
 
 
 def warning(check: str, text: str, cure: str) -> Finding:
-    """Return the finding that something may fail."""
+    """Return the finding that `check` found a risk; `text` says which, `cure` what to do."""
     return Finding(check, Level.WARNING, text, cure)
 
 
@@ -257,7 +257,7 @@ def check_wheels(
 
 
 def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Finding]:
-    """Warn if variables in `environment` lead to a ROS other than robotctl's own below `prefix`."""
+    """Warn if `environment` has paths of another ROS than robotctl's own, which is in `prefix`."""
     check = "shell"
     paths = {name: value for name, value in environment.items() if name != "RMW_IMPLEMENTATION"}
     _, found = without_foreign_ros(paths, prefix)

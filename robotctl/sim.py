@@ -22,7 +22,7 @@ MAX_FAULT_S = 60.0
 
 
 class SimFault(Enum):
-    """What can go wrong with the simulated robot."""
+    """A fault of the simulated robot."""
 
     ODOM_LOST = "odom-lost"
     """The robot publishes no odometry."""

@@ -58,11 +58,11 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
 
 
 def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[dict[str, str], str]:
-    """Return `environment` without a ROS outside `prefix`, and a note on the changes.
+    """Return a copy of `environment` without any ROS outside `prefix`, and a note on the changes.
 
-    Of a sourced ROS of the same distribution, only folders with another rclpy are removed;
-    message packages of overlays stay. Of a ROS of another distribution, all folders are removed.
-    If RMW_IMPLEMENTATION names another middleware than RMW, it is replaced.
+    If another ROS of our distribution is sourced, only its folders with an rclpy are removed, so
+    message packages of overlays stay. All folders of another distribution are removed. Any
+    RMW_IMPLEMENTATION other than RMW is replaced by RMW.
     """
     distro = environment.get("ROS_DISTRO", "")
     cleaned = dict(environment)

@@ -61,7 +61,7 @@ class RobotctlError(Exception):
         return details
 
     def as_object(self) -> dict[str, Any]:
-        """Return what `--json` prints as `error`."""
+        """Return the object `error` in the output of `--json`."""
         return {
             "kind": self.kind,
             "message": str(self) or self.kind,

@@ -73,7 +73,7 @@ class Ending:
             self.invariants.violate(text)
 
     def lack(self, count: int, text: str) -> None:
-        """Report that `count` messages are absent: a violation unless losses may explain that."""
+        """Report `count` absent messages, as a violation unless losses may explain them."""
         if count <= self.lost:
             self.report.notes.append(f"{text}: {self.lost} were counted as lost")
         elif self.ledger is None:
@@ -92,9 +92,9 @@ EndingOf = Callable[[str | None], Ending]
 
 
 class JournalEnd(NamedTuple):
-    """When the journal ends: `t_ns` is steady, `log_ns` since the epoch.
+    """The time at which the journal ends: `t_ns` is steady, `log_ns` since the epoch.
 
-    `stalled_ns` is how long the control loop stalled shortly before that. `clock_changed` says
+    `stalled_ns` is how long the control loop stalled shortly before the end. `clock_changed` says
     whether the wall clock ever changed against the steady clock.
     """
 
@@ -111,7 +111,7 @@ NOT_COMPARED: Final = (
 
 
 class JournalOrigin:
-    """Whether the recorder wrote the journal itself, or received it from a robot.
+    """Finds out whether the recorder wrote the journal itself or received it from a robot.
 
     In its own journal, a recorder writes equal log and publish times. If they differ in the first
     entry, the topic must be of the recorder's robot, and the recorder must have driven that robot.
@@ -320,7 +320,7 @@ class RecordingEnds:
             self._report.notes.append("it was not closed: it has no loss ledger to check")
 
     def ending(self, topic: str | None) -> Ending:
-        """Return how the recording ends for a topic; `check` must have been called."""
+        """Return the `Ending` of the recording for `topic`; call `check` first."""
         return Ending(
             self._report,
             self._invariants,

@@ -42,10 +42,10 @@ class IncidentKind(StrEnum):
 
 @dataclass(slots=True)
 class Incident:
-    """A step of the kernel that stopped the robot or refused a request; for a KILL the last step.
+    """A step of the kernel that stopped the robot or refused a request.
 
-    Times are steady [ns], except `log_ns` (when the event was recorded) and `zero_ns` (the first
-    zero command after it), which are since the epoch. None means that a value is not recorded.
+    For the kind KILL, it is the last step. Times are steady [ns], but `log_ns` (time of recording)
+    and `zero_ns` (first zero command after it) are since the epoch. None means not recorded.
     `before` and `after` are the states of the kernel before and after the step.
     """
 

@@ -88,7 +88,7 @@ class ShownModes:
         self._statuses.clear()
 
     def end(self, *, is_closed: bool) -> None:
-        """Compare the kept statuses; unless `is_closed`, only those before the last event."""
+        """Compare the kept statuses; if not `is_closed`, only those before the last event."""
         self._judge(inf if is_closed else self._t_ns)
 
     def _judge(self, until_ns: float) -> None:

@@ -75,7 +75,7 @@ class RobotTopics:
         return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None
 
     def recorded(self, parameter: str, default: str, *types: str) -> InputTopic:
-        """Return the topic that a parameter names, if it is recorded with one of `types`."""
+        """Return the topic named by `parameter`; it has no `name` unless recorded in `types`."""
         name = self.named_by(parameter, default)
         if self.types.get(name) in types:
             return InputTopic(name, self.types[name])
@@ -95,7 +95,7 @@ class RobotTopics:
         return any(t.name == topic and LATCHED_QOS in t.offered_qos for t in self.info.topics)
 
     def leaves_out(self, topic: str, *types: str) -> bool:
-        """Return whether the configured patterns omit the topic with one of these types."""
+        """Return whether the configured patterns omit `topic` for at least one of `types`."""
         return not all(self._filter.records(topic, each) for each in types)
 
     def _patterns(self, key: str) -> list[str]:
@@ -145,7 +145,7 @@ class RepeatedLatched:
         return is_again
 
     def snapshot(self) -> None:
-        """Count a snapshot, which allows one repeat."""
+        """Count a snapshot; each snapshot allows one more repeat."""
         self._snapshots += 1
 
     @property

@@ -129,7 +129,7 @@ class DriveCommands:
         }
 
     def measured(self) -> dict[str, Any] | None:
-        """Return what was measured until the end, as JSON values; None before the end."""
+        """Return the laps, distance and errors of the drive as JSON values; None before its end."""
         if self.end is None:
             return None
         report = self.end.report if self.has_path else self.end.report.without_errors()

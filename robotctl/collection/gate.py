@@ -196,7 +196,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return "VERDICT: CAUSE", or "changed: CAUSE" if only other parameters cause a failure."""
+    """Return "VERDICT: CAUSE"; it is "changed: CAUSE" if only the tried parameters differ."""
     if result.verdict not in FAILED and result.differs:
         if result.other is not None and result.other["failure"]:
             return f"{CHANGED}: the kernel fails with other parameters"

@@ -350,5 +350,5 @@ def _lines(rows: Iterable[IndexRow], first: dict[str, str]) -> Iterable[bytes]:
 
 
 def table_columns() -> dict[str, str]:
-    """Return the columns of an index with SQL types: `recording`, `stamp`, and `all_columns`."""
+    """Return {column: SQL type} of an index: `recording`, `stamp`, then those of `all_columns`."""
     return {"recording": "VARCHAR", "stamp": "VARCHAR", **all_columns()}

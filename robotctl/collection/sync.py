@@ -92,10 +92,10 @@ def copy_recordings(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     dry_run: bool = False,
 ) -> Synced:
-    """Copy the files that the store lacks; `on_progress` gets the bytes done and in total.
+    """Copy the files that the store lacks.
 
-    Each failure adds a sentence to `problems` or `wrong`. If the store fails for GIVE_UP_AFTER
-    recordings in a row, the run ends.
+    `on_progress` gets the number of bytes handled so far, and the total. Each failure adds a
+    sentence to `problems` or `wrong`. The run ends if GIVE_UP_AFTER recordings in a row fail.
 
     Raises:
         StoreError: The store cannot be listed.

@@ -36,7 +36,7 @@ from robotctl.sim import SimParams
 
 @dataclass(frozen=True, slots=True)
 class RecordingParams:
-    """What is recorded, and how long recordings are kept.
+    """The parameters of recordings: topics, format, clips, and when old ones are removed.
 
     A topic is recorded if `include` is empty or has a pattern that matches it, unless a pattern of
     `exclude` matches the topic. A clip is a short recording of one emergency stop or error.

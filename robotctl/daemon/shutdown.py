@@ -58,9 +58,9 @@ async def stand_still(
 
 
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
-    """Send a last zero by a tick of the kernel; if the kernel is MOVING or sends none, directly.
+    """Report the fault DAEMON_ENDS, which marks the end in the journal; then command zero velocity.
 
-    Before the tick, report the fault DAEMON_ENDS, which marks the end in the journal.
+    The kernel sends the zero in a tick. If it is MOVING or sends none, the zero is sent directly.
     """
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed
@@ -82,7 +82,7 @@ publisher is destroyed before. After this time, the robot's command timeout has 
 async def last_zero_arrived(
     velocity: VelocityPublisher, modes: ModeService, received: Callable[[], Mapping[str, int]]
 ) -> None:
-    """Wait until the recorder has the last command and robot status, and the robot has the zero.
+    """Wait until the last command and status are recorded and the robot has received the command.
 
     `received()` returns how many messages of each topic the recorder has received. Log a warning
     if a reliable subscriber does not acknowledge the last zero within ACKNOWLEDGED_S.

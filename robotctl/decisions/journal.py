@@ -298,7 +298,7 @@ def head_of(folder: Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OpenedLine:
-    """An OPENED entry at line `place`; its value `journal` must equal the digests `before` it."""
+    """An OPENED entry at `place`; its value `journal` must equal `before`, the digests up to it."""
 
     entry: Entry
     place: str

@@ -112,7 +112,7 @@ def _rays(count: int, yaw_rad: float) -> tuple[tuple[tuple[float, float], ...], 
 
 
 def farthest_m(params: ScanParams, reach_m: float) -> float:
-    """Return the largest range at which an obstacle can be `reach_m` away along a path [m]."""
+    """Return the largest range [m] of an obstacle that is `reach_m` ahead on any path."""
     size_m = params.half_length_m + params.half_width_m
     return reach_m + size_m + abs(params.x_m) + abs(params.y_m)
 

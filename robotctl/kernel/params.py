@@ -36,7 +36,7 @@ class VelocityLimits:
 
 @dataclass(frozen=True, slots=True)
 class TrackingParams:
-    """The gains of the tracking law, the largest distance from the reference, the base's lag."""
+    """Parameters of tracking: the gains, the largest distance from the reference, and the lag."""
 
     k_x: float = bounded(3.5, 0.0, 100.0, "1/s", "gain of the error along the path")
     k_y: float = bounded(20.0, 0.0, 1000.0, "1/m^2", "gain of the error across the path")

@@ -90,7 +90,7 @@ class Circle:
         return Pose(self.radius * s, self.radius * (1.0 - c), theta)
 
     def curvature_at(self, length: float) -> float:
-        """Return the curvature, the same everywhere [1/m]."""
+        """Return the curvature [1/m], which is the same at every `length`."""
         return 1.0 / self.radius
 
     def distance_to(self, point: Pose, guess: float) -> float:

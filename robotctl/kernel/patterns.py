@@ -255,7 +255,7 @@ SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
 
 
 def named(pattern: Pattern, course: Course) -> str:
-    """Return a phrase for what is driven, such as "a square" or "an arc in reverse"."""
+    """Return a phrase for the motion, such as "a square" or "an arc in reverse"."""
     if course.held is not None:
         held = course.held
         if held.is_held_to_run:

@@ -191,7 +191,7 @@ def remedies_for(cause: Cause | None) -> tuple[Remedy, ...]:
 
 
 def remedies_to_move(cause: Cause) -> tuple[Remedy, ...]:
-    """Return what must be done in ERROR or EMERGENCY_STOP before the robot can move again."""
+    """Return the remedies, in order, that allow motion after ERROR or EMERGENCY_STOP by `cause`."""
     remedy = RULE_OF[cause].remedy
     return (remedy,) if remedy in RESETTING else (remedy, Remedy.RESET)
 

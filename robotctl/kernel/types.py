@@ -91,7 +91,7 @@ class Cause(Enum):
 
 
 class Phase(Enum):
-    """What the robot is doing within its mode."""
+    """The activity of the robot within its mode."""
 
     STANDING = "standing"
     DRIVING = "driving"

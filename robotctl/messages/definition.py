@@ -73,7 +73,7 @@ class UnreadableType(ValueError):
 
 
 class FieldShape(Enum):
-    """How many values a field has."""
+    """The shape of a field: one value, an array or a sequence."""
 
     ONE = "one"
     ARRAY = "array"
@@ -106,7 +106,7 @@ class Field:
 
     @property
     def item(self) -> Field:
-        """A field like this one, but for a single value."""
+        """The field of one item of this array or sequence."""
         return Field(self.name, self.type_name, text_bound=self.text_bound)
 
     @property

@@ -63,7 +63,7 @@ def read_arrays(
     type_name: str = "",
     on_missing: Callable[[str], None] | None = None,
 ) -> TopicArrays:
-    """Return the named `fields` of a topic, such as `pose.pose.position.x`; all if none is named.
+    """Return the values of `fields`, such as `pose.pose.position.x`; without any, of all fields.
 
     `on_missing` is called with a sentence about each part of the recording that cannot be read.
     `type_name` chooses the message type if the topic has several.

@@ -97,8 +97,8 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class StoredKey:
-    """The content of `key.json`: `seed` and `key` are private and public key in hex, `root` is the
-    robot's first public key, `files` the number of files that were opened.
+    """The content of `key.json`. `seed` is the private key and `key` the public key, both in hex;
+    `root` is the robot's first public key, and `files` is the number of files that were opened.
     """
 
     root: str

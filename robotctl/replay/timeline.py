@@ -66,10 +66,10 @@ def recorded(
     *,
     loop: bool,
 ) -> Iterator[Entry]:
-    """Return the messages to send: first those latched at the start of `span`, then those in it.
+    """Return the messages to send: latched messages from before `span`, then all within `span`.
 
-    `topics` has the type of each topic to play; messages of another type are left out. For
-    each latched topic, `latched` limits the number of messages sent from before the span.
+    `topics` has the type of each topic to play; messages of another type are left out. For each
+    latched topic, `latched` has the largest number of messages from before the span.
     """
 
     def typed(messages: Iterable[Message]) -> Iterable[Message]:

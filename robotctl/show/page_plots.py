@@ -64,7 +64,7 @@ class TimePlot:
 
 
 def plots_of(traces: Traces) -> list[TimePlot]:
-    """Return the plots over time of a recording."""
+    """Return the plots over time: speed, turn rate, tracking error, battery, tick lateness."""
     speeds = (
         (traces.commanded_linear, "command", "command"),
         (traces.linear, "measured", "driven"),

@@ -111,7 +111,7 @@ class Rates:
 
 
 class Traces:
-    """What a report draws of a recording; times are in seconds from its first message."""
+    """The data of a recording that a report draws; times are in seconds from its first message."""
 
     def __init__(self, duration_s: float) -> None:
         self.duration_s = duration_s

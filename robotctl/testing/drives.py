@@ -118,9 +118,9 @@ def drive(
 def journaled(
     kernel: Kernel, steps: Iterable[Step], snapshots_ns: Iterable[int] = (BEGIN_NS,)
 ) -> Iterator[Written]:
-    """Yield what a daemon writes for the steps of a kernel.
+    """Yield the journal entries and commands that a daemon writes for `steps` of a kernel.
 
-    There is a snapshot at each given time; the last items are a fault DAEMON_ENDS and a snapshot.
+    Snapshots are at `snapshots_ns`; the last items are a fault DAEMON_ENDS and a snapshot.
     """
     written: list[Written] = []
     commands = 0

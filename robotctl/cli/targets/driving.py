@@ -88,7 +88,7 @@ def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
 
 @contextmanager
 def ignoring(numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Ignore these signals during the block, which must be completed."""
+    """Ignore the signals `numbers` inside the `with` block, so that they cannot interrupt it."""
     previous = {number: signal.signal(number, _ignore) for number in numbers}
     try:
         yield

@@ -64,10 +64,10 @@ RecordedBy = Annotated[
 
 
 def recordings_folder(robot: str | None, given: Path | None) -> Path:
-    """Return the folder `given`, or else ./recordings if it holds a recording of `robot`.
+    """Return the folder `given`; if it is None, find the folder with recordings of `robot`.
 
-    If ./recordings holds none, return the folder in which the last daemon of `robot` recorded, if
-    it still exists, or else ./recordings all the same. If `robot` is None, any robot counts.
+    That is ./recordings if it holds one, else the folder in which the last daemon of `robot`
+    recorded, if it still exists, else ./recordings. If `robot` is None, any robot counts.
 
     Raises:
         UsageError: `given` is not a folder, or another user could have changed the file in

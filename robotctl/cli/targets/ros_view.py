@@ -68,7 +68,7 @@ class RosView:
         return found
 
     def node(self, name: str) -> GraphNode:
-        """Return what the node with this full name publishes, subscribes to, serves and calls.
+        """Return the topics and services that the node with the full name `name` uses or serves.
 
         Raises:
             UsageError: There is no such node.

@@ -305,10 +305,10 @@ _ASK_FLAGS: Final = b"\x1b[?u"
 
 
 class TerminalAnswers:
-    """A context to ask whether the terminal is alive; `KeyParser` yields each answer as ANSWER.
+    """A context in which `ask` probes the terminal; `KeyParser` yields each answer as ANSWER.
 
-    The question goes through a separate descriptor that does not block, so that a terminal that
-    accepts no data delays no key.
+    The question goes through a separate, non-blocking descriptor. So a terminal that accepts no
+    data delays no key.
     """
 
     def __init__(self) -> None:

@@ -47,7 +47,7 @@ _WORDS = frozenset({"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 def message_lines(value: Any, limit: int | None = SHOWN_LENGTH) -> Iterator[str]:
     """Yield a ROS message, or a field of a message, as lines of YAML.
 
-    At most `limit` items of a list or characters of a text are shown, then `...`; None: all.
+    At most `limit` items of a list or characters of a text are shown, then `...`; None shows all.
     """
     if isinstance(value, Mapping) and value:
         for name, inner in value.items():

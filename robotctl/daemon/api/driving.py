@@ -295,7 +295,7 @@ class DrivingMethods:
         }
 
     def begin_goal(self, goal: Goal, source: str, *, remote: bool) -> GoalDrive:
-        """Request the drive of a goal at once; `remote`: the goal may come from another host.
+        """Request the drive of `goal` at once; `remote` is true if another host may have sent it.
 
         Raises:
             ValueError: The goal has 0 laps, an unknown pattern, or a speed above the limit.

@@ -170,7 +170,7 @@ class RecorderReport:
         self._logged_memory = False
 
     def stats(self) -> RecorderStats:
-        """Return the current counts; pass these to the other methods."""
+        """Return the current counts, the argument `stats` of the other methods."""
         return self._recorder.stats()
 
     def facts(self, stats: RecorderStats) -> RecordingFacts:

@@ -180,9 +180,9 @@ class LearnedPeriod:
         self._fewest, self._most = inf, 0.0
 
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
-        """Count the new messages; return the expected period [s] once it is learned, None before.
+        """Count the new messages; return the expected period [s], or None until it is learned.
 
-        `late` is true if the last call was longer than LATE_S ago: the gap is then not judged.
+        `late` is true if the last call was over LATE_S ago; the gap is then not judged.
         """
         if self._first is None:
             if count != self._before:
@@ -293,10 +293,10 @@ class _Topic:
 
 
 class TopicHealth:
-    """Watches all topics; times in seconds on a steady clock, `wall_ns` since the epoch.
+    """Watches the rates of topics, in the loop's thread only.
 
     A topic is watched if its rate is configured, or after it was regular for a minute
-    (LearnedPeriod). Used in the loop's thread only.
+    (LearnedPeriod). Times are in seconds on a steady clock; `wall_ns` is since the epoch.
     """
 
     def __init__(self, expected: RateByTopic, names: Iterable[str], now_s: float) -> None:

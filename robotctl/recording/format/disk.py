@@ -52,7 +52,7 @@ def make_folder(path: Path, *, shared: bool) -> None:
 
 
 def protect_like(path: Path, source: Path) -> None:
-    """Let the owner read `path`, the group only if it may read `source`, and no other users.
+    """Limit access to `path` to its owner and, if the group may read `source`, to the group.
 
     Raises:
         OSError: `path` or `source` does not exist.

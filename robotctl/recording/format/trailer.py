@@ -42,7 +42,7 @@ FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """What a writer must know to continue a valid file without attachments.
+    """The parts of a valid file without attachments that a writer needs to continue it.
 
     `data_end` is the offset of the DataEnd record, `data_crc` the checksum in that record. `groups`
     has the records of the summary, concatenated, by opcode.
@@ -171,7 +171,7 @@ class Summary:
             self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
 
     def go_back_to(self, state: TrailerState | None) -> None:
-        """Set counts and times back to those in `state`, after a failed write; None: to 0."""
+        """After a failed write, restore the counts and times in `state`; None sets them to 0."""
         counted = None
         if state is not None:
             content = BytesIO(state.statistics[RECORD_HEAD_BYTES:])

@@ -104,7 +104,7 @@ class Source(Protocol):
         """Return the stored size [bytes]: less than `size` if the file is compressed as a whole."""
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return `length` bytes at `offset`, or fewer; none only at the end."""
+        """Return at most `length` bytes at `offset`; b"" only at the end of the file."""
 
     def is_written(self) -> bool:
         """Return whether a process has the file open for recording."""
@@ -116,11 +116,11 @@ class Source(Protocol):
 def open_source(
     path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Source:
-    """Open a file; `on_progress` gets bytes done and in total while it is decompressed.
+    """Open a file; during decompression, `on_progress` gets the bytes done and the total.
 
     Raises:
-        OSError: It cannot be opened, or is not a regular file.
-        Damaged: It cannot be decompressed.
+        OSError: The file cannot be opened, or is not a regular file.
+        Damaged: The file cannot be decompressed.
         UnreadableFile: The store fails.
     """
     return RemoteSource(path) if isinstance(path, RemoteFile) else LocalSource(path, on_progress)
@@ -162,7 +162,7 @@ class LocalSource:
         return self.size() if self._packed_bytes is None else self._packed_bytes
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return `length` bytes at `offset`, or fewer; none only at the end."""
+        """Return at most `length` bytes at `offset`; b"" only at the end of the file."""
         return os.pread(self._fd, length, offset)
 
     def is_written(self) -> bool:
@@ -197,7 +197,7 @@ class RemoteSource:
         return self._size
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return at most `length` bytes from `offset` on; the result is b"" only at the end."""
+        """Return at most `length` bytes at `offset`; b"" only at the end of the file."""
         return self._reader.read(offset, length)
 
     def is_written(self) -> bool:

@@ -86,7 +86,7 @@ def parse(kind: type[_Record], data: bytes) -> _Record:
 
 
 class Record(NamedTuple):
-    """Where a record of a file is. `end` is the offset after it, perhaps beyond the file's end."""
+    """The place of a record in a file. `end` is the offset after it, perhaps after the file."""
 
     opcode: int
     offset: int

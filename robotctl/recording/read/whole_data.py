@@ -95,7 +95,7 @@ class Flaws:
 
 
 class FileState(StrEnum):
-    """How the writing of a file ended."""
+    """The state in which the writer left a file."""
 
     FINISHED = "finished"
     LIVE = "live"

@@ -50,7 +50,7 @@ from robotctl.recording.seal import is_signed
 
 
 class SealState(StrEnum):
-    """What the seal of a file covers."""
+    """The part of a file that its seal covers."""
 
     SEALED = "sealed"
     """The whole file."""

@@ -138,7 +138,7 @@ class ChannelState:
 
         Return the change in memory use [bytes]. If this change would exceed `room`, `data` is
         only counted in `not_kept`, and the previous message is discarded, as it is out of date.
-        With MAX_LATCHED other publishers, the oldest message is discarded and counted as well.
+        If MAX_LATCHED other publishers have a message, the oldest is discarded and counted.
         """
         if self.latched is None:
             return 0

@@ -82,7 +82,7 @@ class Sealer(Protocol):
         """Return the seal of a new file."""
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Store `link` outside the recording; the bytes that the link covers are on the disk."""
+        """Store `link` outside the recording; call this when the covered bytes are on the disk."""
 
 
 class FileSeal:
@@ -126,7 +126,7 @@ class FileSeal:
         return self._seal is not None and self._clock() >= self._due
 
     def link(self, covered: int) -> bytes:
-        """Return a signed link over the first `covered` bytes, for the data; b"" on failure."""
+        """Return the record of a signed link over the first `covered` bytes; b"" on failure."""
         link = self._signed(LinkKind.LINK, covered)
         if link is None:
             return b""

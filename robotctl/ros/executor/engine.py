@@ -148,7 +148,7 @@ class Engine:
 
     @property
     def scheduling(self) -> str:
-        """How the operating system schedules the loop's thread, in words."""
+        """The scheduling policy of the loop's thread, as text."""
         return "SCHED_OTHER" if self._fifo is None else self._fifo.description
 
     def open(self, fifo_priority: int | None) -> None:

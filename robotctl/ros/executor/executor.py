@@ -162,7 +162,7 @@ class AsyncioExecutor:
 
     @property
     def scheduling(self) -> str:
-        """How the operating system schedules the loop's thread, in words."""
+        """The scheduling policy of the loop's thread, as text."""
         return "SCHED_OTHER" if self._engine is None else self._engine.scheduling
 
     # The interface of rclpy.executors.Executor

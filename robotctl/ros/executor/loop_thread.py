@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 class LoopThread:
-    """Runs in the loop the functions that any thread passes to `call_soon`.
+    """Runs functions in the loop; any thread may pass them to `call_soon`.
 
-    Before `open` sets the loop, functions are kept. If `give_up` is called before `open`, functions
-    are not kept any more, but run at once, in the thread that passes them.
+    Until `open` sets the loop, functions are kept. If `give_up` is called instead of `open`, each
+    function runs at once, in the thread that passes it.
     """
 
     def __init__(self) -> None:

@@ -112,7 +112,7 @@ class VelocityPublisher:
             self._log.debug(publishing_line(twist))
 
     def publish_zero(self) -> None:
-        """From `close_gate` to `open_gate`, send a zero unless `is_silent()`; not for the loop.
+        """While the gate is closed, send a zero unless `is_silent()`; not for the loop's thread.
 
         Raises:
             TimeoutError: `publish`, in the loop's thread, hangs in the middleware.

@@ -37,7 +37,7 @@ MAX_GAPS = 32
 class Delivered:
     """The messages of one publisher that reached the sink: up to `last`, without those in `gaps`.
 
-    Messages count as numbered from 1 on.
+    The number of the first message is 1.
     """
 
     last: int = 0
