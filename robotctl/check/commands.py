@@ -73,7 +73,7 @@ def serialized(twist: Twist) -> bytes:
 
 
 def shown_command(numbers: bytes) -> str:
-    """Return the velocities of a command as text."""
+    """Return forward and turning velocity of a command, given by its six `numbers`, as text."""
     linear, _, _, _, _, angular = _NUMBERS.unpack(numbers)
     return f"{linear:.6g} m/s, {angular:.6g} rad/s"
 
@@ -123,7 +123,7 @@ def follows(number: int, other: int) -> bool:
 
 @dataclass(slots=True)
 class DecidedCommand:
-    """A command in the journal: its six velocities, and when the step that decided it was handled.
+    """A command in the journal: its six `numbers`, and the `moments` at which its step was handled.
 
     `withheld` is when a zero was sent in place of the command, during a stall.
     """

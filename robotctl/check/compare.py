@@ -45,7 +45,7 @@ _READERS = {
 
 
 def without_retired_fields(entry: JournalEntry) -> JournalEntry:
-    """Return the entry without the fields that this version removed, where these are at default."""
+    """Return the entry without the fields that this version has retired, if they are at default."""
     names = {
         path.partition(".")[2]: default
         for path, default in retired.JOURNAL_FIELDS.items()

@@ -67,7 +67,7 @@ def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> 
 
 
 def simplified(points: Sequence[Point], tolerance_m: float) -> tuple[Point, ...]:
-    """Leave out points that are within `tolerance_m` of the path through the rest; return the rest.
+    """Return the points without those within `tolerance_m` of the path through the points returned.
 
     The algorithm is that of Douglas and Peucker (1973).
     """

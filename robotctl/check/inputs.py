@@ -99,7 +99,7 @@ class UnheardChange:
         self._waiting.append(shown)
 
     def heard(self, sequence: int) -> None:
-        """Note that the message with this number became an input in the journal."""
+        """Note that message number `sequence` became an input in the journal."""
         self._heard.add(sequence)
 
     def forget(self) -> None:

@@ -42,7 +42,7 @@ class MeasurementOrder:
         self._newest_ns: int | None = None
 
     def step(self, event: Event, seq: int) -> None:
-        """Compare the event's time with the times before; `seq` is the number of its entry."""
+        """Compare the time of `event`, journal entry `seq`, with the times of earlier events."""
         if type(event) not in MEASUREMENTS:
             return
         if self._newest_ns is not None and event.t_ns < self._newest_ns - SLACK_NS:

@@ -178,7 +178,7 @@ class Waiting(Generic[Entry, Sent]):
         self._slots: dict[int, Slot[Entry, Sent]] = {}
 
     def slot(self, number: int) -> Slot[Entry, Sent]:
-        """Return the slot of a number as the newest; judge the oldest if there are too many."""
+        """Return the slot of `number`, now the newest; judge the oldest if there are too many."""
         slot = self._slots.pop(number, None) or Slot()
         self._slots[number] = slot
         if len(self._slots) > MAX_WAITING:

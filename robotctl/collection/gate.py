@@ -171,7 +171,7 @@ class GateReport:
         return {verdict: found[verdict] for verdict in VERDICTS}
 
     def causes(self) -> dict[str, list[Path]]:
-        """Return the paths of `failures` and `unknown` by cause, the most frequent cause first."""
+        """Return cause -> recordings in `failures` and `unknown`, the most frequent cause first."""
         wrong = self.failures() | self.unknown()
         return _grouped({path: cause_of(each) for path, each in wrong.items()})
 

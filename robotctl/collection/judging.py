@@ -59,7 +59,7 @@ class ResultStore:
         return str(self.folder)
 
     def get(self, key: str) -> Judgement | None:
-        """Return the result with this key, None if there is none or the stored one is damaged.
+        """Return the result stored for `key`, or None if it is missing or damaged.
 
         Raises:
             Refused: The result cannot be read.

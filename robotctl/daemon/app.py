@@ -167,8 +167,8 @@ async def serve(
 ) -> None:
     """Run the daemon until it is stopped; when it is ready, call `on_ready` with its summary.
 
-    `notes` are sentences for the summary. The caller owns the robot's lock; after `serve` ends, it
-    closes `at_end`, which leaves the ROS domain.
+    `notes` are sentences for the summary. The caller owns the robot's lock; after `serve` ends, the
+    caller closes `at_end`, which leaves the ROS domain.
 
     Raises:
         RobotctlError: The daemon cannot start, or ran out of memory.

@@ -55,7 +55,7 @@ class DaemonOptions:
         return namespace_of(self.robot)
 
     def applied_to(self, config: Config, warn: Callable[[str], object]) -> RosSettings:
-        """Apply `--ros-args` and the topic patterns to `config`; return it with rcl's settings.
+        """Return `config` and rcl's settings after `--ros-args` and the topic patterns are applied.
 
         `warn` is called with a sentence for each retired key of the configuration.
 

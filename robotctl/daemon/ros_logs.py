@@ -88,7 +88,7 @@ class LoggerLevels:
         return refusal
 
     def apply(self, levels: Iterable[LogLevel]) -> None:
-        """Set the levels of a command line; skip those that are refused."""
+        """Set the levels that a command line gives; skip each level that `refusal` forbids."""
         for each in levels:
             self.change(each.logger, each.level, "the command line")
 

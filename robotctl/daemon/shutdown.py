@@ -34,9 +34,9 @@ async def stand_still(
     ramp_down_s: float = RAMP_DOWN_S,
     now_ns: Callable[[], int] = time.monotonic_ns,
 ) -> None:
-    """Ramp down; if that takes over `ramp_down_s`, command zero at once. Then send one more zero.
+    """Ramp down or, after `ramp_down_s` without standstill, command zero. Then send one more zero.
 
-    From now on the kernel starts no motion. `published()` returns the number of commands sent: if
+    From now on the kernel starts no motion. `published()` returns the number of commands sent. If
     it does not grow, because memory or the middleware fails, zero is retried for LAST_ZERO_S.
     """
     control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, _ENDING))

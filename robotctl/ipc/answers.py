@@ -41,7 +41,7 @@ class DriveFacts(DriveFigures):
 
 
 class DrivenPath(TypedDict):
-    """The answer of `path`: points of the current or last drive, in the odometry frame [m]."""
+    """The answer to `path`: wanted and driven points of the newest drive, in the odom frame [m]."""
 
     reference: list[list[float]]
     driven: list[list[float]]

@@ -282,7 +282,7 @@ class Drive:
         )
 
     def cross_track_m(self, pose: Pose) -> float:
-        """Return the distance of a pose from the path, near the reference [m]."""
+        """Return the distance [m] from `pose` to the path, searched near the reference."""
         at = self.progress
         if not self.path.segments:
             return 0.0

@@ -67,7 +67,7 @@ def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float
 
 
 def is_free(free_m: float, command: Twist, params: ScanParams, reach_m: float) -> bool:
-    """Return whether the path of `command` is free of obstacles with a |y| of `free_m` or more.
+    """Return whether the path of `command` is certainly free if each obstacle has |y| >= `free_m`.
 
     If this is False, an obstacle may be in the path: call `distance_ahead`.
     """

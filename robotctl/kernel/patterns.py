@@ -274,7 +274,7 @@ def named(pattern: Pattern, course: Course) -> str:
 
 @lru_cache(maxsize=16)
 def path_of(pattern: Pattern, course: Course, *, again: bool = True) -> Path:
-    """Return the path of one lap; with `again`, a path of waypoints ends where it begins."""
+    """Return the path of one lap. With `again`, a path through waypoints returns to its begin."""
     if course.held is not None:
         return Path((), inf, closed=False)
     if course.waypoints:

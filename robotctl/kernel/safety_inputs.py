@@ -96,7 +96,7 @@ InputParams = EstopParams | JoyParams | BumperParams | TiltParams | DiagnosticsP
 
 @dataclass(frozen=True, slots=True)
 class SafetyInputParams:
-    """The parameters of each input; each field has the name of a value of `SafetyInput`."""
+    """The parameters of all safety inputs; each field is named like a value of `SafetyInput`."""
 
     estop: EstopParams = field(default_factory=EstopParams)
     joy: JoyParams = field(default_factory=JoyParams)

@@ -43,7 +43,7 @@ class Leg:
 
 
 def speed_plan(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Leg, ...]:
-    """Return the plan of each segment: `speed_mps`, or less where the limits require it."""
+    """Return a leg for each segment: it is driven at `speed_mps`, or slower because of `limits`."""
     segments = path.segments
     tops = [_top_speed(segment, speed_mps, limits) for segment in segments]
     accels = [_accel(segment, limits) for segment in segments]
@@ -124,7 +124,7 @@ def path_for(pattern: Pattern, course: Course, laps: int) -> Path:
 
 
 def legs_for(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Leg, ...]:
-    """Return what `speed_plan` returns; the last result is cached."""
+    """Return the legs of `speed_plan` for the same arguments; the last result is cached."""
     for known_path, known_mps, known_limits, legs in _last_plan:
         if known_path is path and known_limits is limits and known_mps == speed_mps:
             return legs

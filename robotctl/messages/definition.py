@@ -293,7 +293,7 @@ def rihs01_hash(type_name: str, definition: Definition) -> str:
 
 
 def description_of(type_name: str, definition: Definition) -> dict[str, Any]:
-    """Return the description of a type `pkg/msg/T`, `pkg/srv/T` or `pkg/action/T`."""
+    """Return the TypeDescription of `pkg/msg/T`, `pkg/srv/T` or `pkg/action/T` as JSON values."""
     package, _, rest = type_name.partition("/")
     own_kind = rest.partition("/")[0]
 

@@ -305,9 +305,9 @@ Taker = Callable[[Traces, float, bytes], None]
 
 
 def topic_takers(topics: Sequence[TopicInfo]) -> dict[tuple[str, str], Taker]:
-    """Return a dict: (topic name, type) -> the function that adds its messages to traces.
+    """Return the functions that add messages to traces, by topic name and type.
 
-    It has at most one topic each for odometry, commands and battery: that with the most messages.
+    For odometry, commands and battery, one function each at most: the topic with the most messages.
     """
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (

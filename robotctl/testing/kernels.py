@@ -62,7 +62,7 @@ class Bench:
         return effects
 
     def odometry(self, pose: Pose = ORIGIN, stamp_ns: int | None = None) -> tuple[Effect, ...]:
-        """Feed the kernel odometry at the present time."""
+        """Feed the kernel odometry that arrives now; without `stamp_ns`, its stamp is now, too."""
         stamp_ns = self.t_ns if stamp_ns is None else stamp_ns
         return self.give(OdomReceived(self.t_ns, Odometry(pose, ZERO, stamp_ns)))
 
@@ -89,7 +89,7 @@ class Bench:
         return self._requests
 
     def request(self, requested: int) -> tuple[Effect, ...]:
-        """Request a mode by its number."""
+        """Request the mode with the number `requested`, and return the kernel's effects."""
         return self.give(ModeRequested(self.t_ns, self.new_request_id(), requested, "test"))
 
     def drive(

@@ -225,7 +225,7 @@ def hash_in(key: str) -> str:
 
 
 def has_hash_folders(path: Path) -> bool:
-    """Return whether `path`, or one of the first folders in it, has a folder named by a SHA-256."""
+    """Return whether a folder named by a SHA-256 is in `path` or in one of its first folders."""
     return _has_hash_folder(path) or any(map(_has_hash_folder, _first_folders(path)))
 
 

@@ -256,7 +256,7 @@ def reports_of(child: Child, seconds: float | None = None) -> Iterator[dict[str,
     """Yield the reports of the view process `child` until its end; wait at most `seconds` for each.
 
     Raises:
-        RobotctlError: The process reported this error, or sent no report in time.
+        RobotctlError: The process reported an error, or nothing within `seconds`.
     """
     while True:
         try:

@@ -83,7 +83,7 @@ class RosView:
             raise UsageError(*unknown_name("node", name, known)) from None
 
     def full_name(self, name: str) -> str:
-        """Return a full name; the relative name of a topic, node or service gets the namespace."""
+        """Return the full name of a topic, node or service; relative names get the namespace."""
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def listen(self, topic: str, type_name: str, *, data: bool) -> MessageListener:

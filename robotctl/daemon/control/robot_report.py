@@ -176,7 +176,7 @@ class RobotReport:
         return missing
 
     def facts(self) -> RobotFacts:
-        """Return the robot's part of the status."""
+        """Return the fields of `status` about the robot."""
         state = self._control.state
         odometry = state.health.odometry
         level = state.health.battery_level

@@ -50,7 +50,7 @@ class Tidier:
         """Called with the path of each file that was removed."""
 
     async def run(self) -> None:
-        """Tidy the folder after `begun` and after each finished file, until cancelled."""
+        """Tidy the folder once `begun` is set, and after each finished file, until cancelled."""
         await self.begun.wait()
         if await asyncio.to_thread(self._has_others):
             await self._tidy(repairs=True)

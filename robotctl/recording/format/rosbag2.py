@@ -48,7 +48,7 @@ _QOS_LINE = re.compile(r"(- | {2,})[a-z_]+:( [\w.+-]+)?")
 class BagFile:
     """One file of a bag; times in nanoseconds since the epoch.
 
-    `counts` gives messages per topic, by the topic's position in the bag's list of topics.
+    `counts` maps each topic's position in the bag's list of topics to its number of messages.
     """
 
     name: str
@@ -93,7 +93,7 @@ def metadata_text(path: Path) -> str:
 
 
 def read_metadata(path: Path) -> str:
-    """Return the `metadata.yaml` of a recording (folder or file), "" without one or for a URL.
+    """Return the `metadata.yaml` of a recording, "" if there is none or `path` is a URL.
 
     Raises:
         OSError: The file cannot be read.

@@ -52,8 +52,8 @@ def records_of_clip(
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
     """Yield name and values of each metadata record that a clip of `window` copies.
 
-    Of the records in OF_EACH_FILE, which each file repeats, only the last is copied, without its
-    `mode` unless that is OBSERVING: other modes may change.
+    Each file repeats the records in OF_EACH_FILE, so only the last of them is copied. Its `mode` is
+    left out unless it is OBSERVING, because the mode may change within the clip.
     """
     records = list(recorded)
     for record in records:

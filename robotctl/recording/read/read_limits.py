@@ -118,7 +118,7 @@ class ReadLimits:
 
 
 def unpacking_cost(unpacked_bytes: int) -> int:
-    """Return what a chunk of `unpacked_bytes` counts against `ReadLimits.unpacked_cost`."""
+    """Return the share of `ReadLimits.unpacked_cost` that a chunk of `unpacked_bytes` uses up."""
     return unpacked_bytes // (FAST_CHUNK_DISCOUNT if unpacked_bytes <= FAST_CHUNK_BYTES else 1)
 
 

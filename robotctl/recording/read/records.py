@@ -221,7 +221,7 @@ class InputFile:
 
 
 def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, content start and content end of each record in a chunk or summary.
+    """Yield each record of a chunk or summary as opcode, begin and end of its content in `data`.
 
     Raises:
         Damaged: A record is cut off or malformed.

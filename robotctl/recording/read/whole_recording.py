@@ -130,7 +130,7 @@ class KnownFile:
 
 
 def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
-    """Return how a file's key, name and end differ from those that this machine stored."""
+    """Compare a file's key, name and end with those that this machine has stored in `heads`."""
     opening = file.seal.opening
     name = file.path.name.removesuffix(SUFFIX)
     if opening is None:

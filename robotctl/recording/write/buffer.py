@@ -147,7 +147,7 @@ class LargeMessage:
         return pack([self._message])
 
     def drop(self) -> dict[int, int]:
-        """Return the message's channel with the count 1."""
+        """Discard the message; return the count of messages, which is 1, by channel."""
         return {self._message[0]: 1}
 
 

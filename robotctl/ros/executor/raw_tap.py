@@ -157,7 +157,7 @@ class SerializedTaker:
         self._buffer: Any = None
 
     def take(self) -> Taken | bytes | memoryview | None:
-        """Return the next message as a `Taken` or, with `bare`, its data; None if there is none.
+        """Return the next message, None if none waits: a `Taken` or, with `bare`, only the data.
 
         Raises:
             RclCallFailed: rcl could not take the message.

@@ -23,10 +23,10 @@ from robotctl.ros.graph.rcl_graph import Gid, Role, checked, escaped, function
 
 
 def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
-    """Return full topic name -> types; with `dds_names`, the names and types of DDS, not of ROS.
+    """Return full topic name -> types. With `dds_names`, both are as in DDS and not as in ROS.
 
-    A byte that is not UTF-8 becomes a surrogate escape in a name, as in file names, and a backslash
-    escape in a type.
+    Bytes that are not UTF-8 become surrogate escapes in a name, as in file names, and backslash
+    escapes in a type.
     """
     try:
         return dict(node.get_topic_names_and_types(dds_names))

@@ -61,7 +61,7 @@ class Delivered:
 class LatchedMerge:
     """A sink that passes each message on once, even if several subscriptions deliver it.
 
-    A message without a sequence number (0) is always passed on.
+    A message is always passed on if its sequence number is 0, which means that it has none.
     """
 
     def __init__(self, sink: ViewSink) -> None:
@@ -209,7 +209,7 @@ class TypeLoader:
     def problem(self, type_name: str) -> str | None:
         """Return why a type cannot be loaded, "" if it is loaded, None while it is loading.
 
-        The reason fits after the words "type T, which". The first call for a type starts its load.
+        The reason continues the text "type T, which". The first call for a type starts its load.
         """
         known = self._problems.get(type_name)
         if known is not None:
