@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 
 from robotctl.check.report import Verdict
 from robotctl.check.run import check_recording
+from tests.support.lines import run_program
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 SCRIPTS = sorted(BENCHMARKS.glob("*.py"))
@@ -29,16 +29,9 @@ for script in sys.argv[1:]:
 
 def test_each_benchmark_script_shows_its_usage() -> None:
     pytest.importorskip("foxglove", reason="benchmarks/recorder.py needs the `dev` extra")
-    ran = subprocess.run(
-        [sys.executable, "-c", HELP_OF_EACH, *SCRIPTS],
-        cwd=BENCHMARKS,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-
-    assert ran.stderr == ""
-    assert ran.stdout.splitlines() == [f"{script} shows its usage" for script in SCRIPTS]
+    ran = run_program(sys.executable, "-c", HELP_OF_EACH, *SCRIPTS, cwd=BENCHMARKS)
+    assert ran.err == ""
+    assert ran.out.splitlines() == [f"{script} shows its usage" for script in SCRIPTS]
 
 
 def test_the_page_of_the_benchmarks_names_each_script() -> None:

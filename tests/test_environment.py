@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 
 from robotctl.base.environment import prepare, without_foreign_ros
 from tests.support.cases import for_each
+from tests.support.lines import Ran, run_program
 
 REPOSITORY = Path(__file__).parents[1]
 SOURCED = ("PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH")
@@ -67,16 +67,8 @@ def sourced(ros: Path, distro: str, *overlays: Path) -> dict[str, str]:
     return environment | {"ROS_DISTRO": distro}
 
 
-def run(environment: dict[str, str], *command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, *command],
-        env=environment,
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+def run(environment: dict[str, str], *command: str) -> Ran:
+    return run_program(sys.executable, *command, env=environment, cwd=REPOSITORY)
 
 
 @pytest.mark.parametrize("distro", ["humble", "jazzy"])
@@ -85,9 +77,8 @@ def test_a_process_in_a_shell_with_another_ros_imports_ours_and_says_so(
 ) -> None:
     environment = sourced(foreign_ros(tmp_path), distro)
     environment["RMW_IMPLEMENTATION"] = "rmw_cyclonedds_cpp"
-    ran = run(environment, "-c", PROGRAM, "an argument")
-    assert ran.returncode == 0, ran.stderr
-    note, module, rmw, prefix, rest = ran.stdout.splitlines()
+    told = run(environment, "-c", PROGRAM, "an argument").succeeded()
+    note, module, rmw, prefix, rest = told.splitlines()
     assert note == (
         f"dropped another ROS ({distro}) from PYTHONPATH, LD_LIBRARY_PATH, AMENT_PREFIX_PATH; "
         "replaced rmw_cyclonedds_cpp by rmw_fastrtps_cpp, the only middleware that robotctl brings"
@@ -105,18 +96,14 @@ def test_a_foreign_rclpy_on_one_variable_alone_is_found(variable: str, tmp_path:
         name: value for name, value in everything.items() if name not in {*SOURCED} - {variable}
     }
     environment.setdefault("PYTHONPATH", str(REPOSITORY))
-    ran = run(environment, "-c", PROGRAM)
-    assert ran.returncode == 0, ran.stderr
-    note, module, *_ = ran.stdout.splitlines()
+    note, module, *_ = run(environment, "-c", PROGRAM).succeeded().splitlines()
     assert note == f"dropped another ROS from {variable}"
     assert Path(module).is_relative_to(sys.prefix)
 
 
 def test_without_another_ros_nothing_is_dropped_and_nothing_said() -> None:
     environment = shell() | {"PYTHONPATH": str(REPOSITORY), "ROS_DISTRO": "jazzy"}
-    ran = run(environment, "-c", PROGRAM)
-    assert ran.returncode == 0, ran.stderr
-    assert ran.stdout.splitlines()[0] == ""
+    assert run(environment, "-c", PROGRAM).succeeded().splitlines()[0] == ""
 
 
 def test_the_rclpy_of_this_run_is_our_own() -> None:
@@ -129,12 +116,10 @@ def test_pytest_in_a_shell_with_another_ros_uses_ours_and_says_so(tmp_path: Path
     environment = sourced(foreign_ros(tmp_path), "humble")
     this = f"{__file__}::{test_the_rclpy_of_this_run_is_our_own.__name__}"
     options = ("-n0", "-p", "no:cacheprovider")
-    ran = run(environment, "-m", "pytest", *options, "tests/ros/conftest.py", this)
-    assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert "1 passed" in ran.stdout
-    assert (
+    run(environment, "-m", "pytest", *options, "tests/ros/conftest.py", this).succeeded(
+        "1 passed",
         "robotctl: dropped another ROS (humble) from PYTHONPATH, LD_LIBRARY_PATH, "
-        "AMENT_PREFIX_PATH\n" in ran.stdout
+        "AMENT_PREFIX_PATH\n",
     )
 
 
@@ -195,10 +180,8 @@ def test_fast_dds_announces_more_often_unless_the_user_configured_it(variable: s
         "import os; from robotctl.base.environment import prepare; prepare();"
         "print(os.environ.get('FASTRTPS_DEFAULT_PROFILES_FILE'))"
     )
-    ran = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
-    )
+    told = run_program(sys.executable, "-c", program, env=environment).succeeded().strip()
     if variable:
-        assert ran.stdout.strip() == environment.get("FASTRTPS_DEFAULT_PROFILES_FILE", "None")
+        assert told == environment.get("FASTRTPS_DEFAULT_PROFILES_FILE", "None")
     else:
-        assert "<leaseAnnouncement>" in Path(ran.stdout.strip()).read_text()
+        assert "<leaseAnnouncement>" in Path(told).read_text()

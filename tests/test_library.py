@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -18,6 +17,7 @@ import pytest
 from robotctl.kernel import Effect, Event
 from robotctl.testing.drives import drive, record
 from tests.support.cases import for_each
+from tests.support.lines import Ran, run_program
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "library.md").read_text()
@@ -144,8 +144,7 @@ def test_importing_a_face_loads_nothing_heavy() -> None:
 
 def loaded_by(program: str) -> set[str]:
     command = [sys.executable, "-P", "-c", program]
-    result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-    return set(result.stdout.split())
+    return set(run_program(*command).succeeded().split())
 
 
 def test_the_page_has_an_example_of_each_face() -> None:
@@ -157,8 +156,4 @@ def test_the_page_has_an_example_of_each_face() -> None:
 def test_the_example_runs(face: str, tmp_path: Path, domain_id: int) -> None:
     record(tmp_path / "recordings" / "run", drive(seconds=2.0))
     command = [sys.executable, "-P", "-c", EXAMPLES[face]]
-    result = subprocess.run(
-        command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
-    )
-    assert result.returncode == 0, result.stderr
-    assert result.stdout + result.stderr == ""
+    assert run_program(*command, cwd=tmp_path) == Ran(0, "", "")

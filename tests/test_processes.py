@@ -6,7 +6,6 @@ The reports of a child are heard without ever blocking the loop.
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import signal
 import subprocess
@@ -33,6 +32,7 @@ from robotctl.recording.keep.retention import RetentionPolicy
 from robotctl.testing.drives import drive, record
 from tests.support.bags import talk, write_bag
 from tests.support.cases import for_each
+from tests.support.lines import Ran, run_program
 from tests.support.waiting import DEADLINE_S
 
 ROBOTCTL = (sys.executable, "-c", "from robotctl.cli.app import main; main()")
@@ -103,15 +103,10 @@ def test_a_replay_whose_libraries_print_is_heard_and_its_output_is_one_object(
     noisy: Path, domain_id: int
 ) -> None:
     file = write_bag(noisy / "run.mcap", talk("/alpha", 3))
-    ran = subprocess.run(
-        [*ROBOTCTL, "replay", str(file), "--json", "--domain-id", str(domain_id)],
-        capture_output=True,
-        text=True,
-        timeout=2 * DEADLINE_S,
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert json.loads(ran.stdout)["sent"] == 3
-    assert ran.stderr.count("fastrtps_port7412") == 2  # nothing that a library says is lost
+    ran = run_program(*ROBOTCTL, "replay", file, "--json", "--domain-id", domain_id)
+    ran.succeeded()
+    assert ran.summary["sent"] == 3
+    assert ran.err.count("fastrtps_port7412") == 2  # nothing that a library says is lost
 
 
 async def test_a_clip_whose_process_prints_is_heard(
@@ -261,9 +256,8 @@ def test_a_program_that_cannot_be_started_leaves_no_descriptor_behind() -> None:
 
 
 def test_a_child_that_is_started_by_hand_reports_it() -> None:
-    ran = subprocess.run([*program(JOBS), "{}"], capture_output=True, text=True, timeout=60)
-    assert (ran.returncode, ran.stdout) == (1, "")
-    assert ran.stderr == "this is started by robotctl, with --report-fd\n"
+    said = "this is started by robotctl, with --report-fd\n"
+    assert run_program(*program(JOBS), "{}") == Ran(1, "", said)
 
 
 def test_lines_come_out_of_pieces() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +23,7 @@ from robotctl.kernel.types import ModeRequested
 from robotctl.testing.drives import BEGIN_NS, drive, drive_requested, record
 from tests.cli.conftest import Cli
 from tests.support.bags import odometry, status, write_bag
+from tests.support.lines import run_program
 
 NAMES = ["status", "set_mode", "estop", "reset", "stop"]
 
@@ -124,9 +124,7 @@ print("imported", *{module.partition(".")[0] for module in sys.modules})
 def imported_by(*arguments: str) -> set[str]:
     """Return the top-level modules that a command line imports in a new interpreter."""
     program = [sys.executable, "-c", PROGRAM, *arguments]
-    ran = subprocess.run(program, capture_output=True, text=True)
-    assert ran.returncode == 0, ran.stderr
-    return set(ran.stdout.splitlines()[-1].split()[1:])
+    return set(run_program(*program).succeeded().splitlines()[-1].split()[1:])
 
 
 def test_quick_commands_import_not_even_typer_and_others_no_heavy_library(daemon: None) -> None:
@@ -150,8 +148,7 @@ def test_no_ros_is_imported_to_draw_check_or_explain_a_recording() -> None:
     estop = ModeRequested(BEGIN_NS + 500_000_000, 2, 3, "test")
     record(Path("run"), drive(1.0, requests=[drive_requested(), estop]))
     write_bag(Path("bag.mcap"), [status(0, 1), *(odometry(n * 100.0, n * 0.01) for n in range(9))])
-    ran = subprocess.run([sys.executable, "-c", OFFLINE], capture_output=True, text=True)
-    assert ran.returncode == 0, ran.stderr
+    run_program(sys.executable, "-c", OFFLINE).succeeded()
 
 
 @pytest.mark.parametrize("word", ["list", "kill", "run", "bag", "figure8", "rm", "circle"])

@@ -19,6 +19,7 @@ from robotctl.base.errors import NoDaemon
 from robotctl.cli import quick, registry
 from robotctl.cli.registry import COMMANDS as OURS
 from tests.cli.conftest import Cli
+from tests.support.lines import Ran, run_program
 from tests.support.recordings import recorded
 
 COMMANDS = [
@@ -263,8 +264,7 @@ app.main()
 
 def test_ctrl_c_while_libraries_are_imported_shows_no_traceback() -> None:
     program = [sys.executable, "-c", INTERRUPTED_IMPORT, "status"]
-    ran = subprocess.run(program, capture_output=True, text=True)
-    assert (ran.returncode, ran.stdout, ran.stderr) == (130, "", "")
+    assert run_program(*program) == Ran(130, "", "")
 
 
 def test_the_version_is_the_packages(cli: Cli) -> None:

@@ -10,7 +10,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -36,6 +35,7 @@ from robotctl.kernel.types import Effect, Event
 from robotctl.recording.read.files import LocalSource
 from robotctl.testing.drives import BEGIN_NS, drive, record
 from tests.support.checked_drives import judged, rechained, wrong
+from tests.support.lines import run_program
 
 GOOD, WRONG = "robot_20260101_120000", "robot_20260102_120000"
 
@@ -208,10 +208,7 @@ def test_no_thread_meets_a_class_that_is_not_prepared() -> None:
         "kinds = judging._Sealed, judgement.Judgement, gate._File, gate.Accepted\n"
         "print([kind.__name__ for kind in kinds if '__msgspec_cache__' not in vars(kind)])"
     )
-    ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert ran.stdout == "[]\n"
+    assert run_program(sys.executable, "-c", program).succeeded() == "[]\n"
 
 
 def test_programs_for_the_version_before_still_find_the_gate() -> None:
@@ -221,7 +218,7 @@ def test_programs_for_the_version_before_still_find_the_gate() -> None:
         "from robotctl.fleet.judging import judge_here\n"
         "from robotctl.fleet.result_store import ResultStore\n"
     )
-    subprocess.run([sys.executable, "-c", program], check=True)
+    run_program(sys.executable, "-c", program).succeeded()
 
 
 def test_a_run_over_damaged_results_judges_again_and_repairs_them(one_short: Path) -> None:

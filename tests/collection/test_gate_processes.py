@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
@@ -27,6 +26,7 @@ from robotctl.collection.judging import Judged, Judging, ResultStore
 from robotctl.testing.drives import drive, record
 from tests.collection.dask_processes import DaskProcesses, dask_processes
 from tests.support.checked_drives import altered
+from tests.support.lines import run_program
 from tests.support.waiting import until
 
 WORKERS = 3
@@ -280,8 +280,9 @@ def test_a_killed_gate_leaves_no_process_and_the_next_judges_only_what_is_left(m
         process.wait()
     before = stored_results(many)
     assert STORED_FIRST <= len(before) < RECORDINGS
-    ran = subprocess.run(gate(many), capture_output=True, text=True, check=True)
-    answer = json.loads(ran.stdout)
+    ran = run_program(*gate(many))
+    ran.succeeded()
+    answer = ran.summary
     assert (answer["stored"], answer["counts"]["same"]) == (len(before), RECORDINGS)
     after = stored_results(many)
     assert len(after) == RECORDINGS
@@ -297,13 +298,7 @@ def test_the_gate_runs_on_ray(tmp_path: Path) -> None:
     (program,) = re.findall(r"```python\n(import sys\n.*?)```", FLEET_PAGE.read_text(), re.DOTALL)
     for name in ("one", "two"):
         record(tmp_path / name, drive(1.0))
-    ran = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path)],
-        env=os.environ | {"RAY_AUTH_MODE": "disabled", "RAY_USAGE_STATS_ENABLED": "0"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert "'same': 2" in ran.stdout
+    environment = os.environ | {"RAY_AUTH_MODE": "disabled", "RAY_USAGE_STATS_ENABLED": "0"}
+    command = (sys.executable, "-c", program, tmp_path)
+    run_program(*command, env=environment, timeout=None).succeeded("'same': 2")
     assert len(list((tmp_path / ".gate").iterdir())) == 2

@@ -14,6 +14,7 @@ import pytest
 
 from robotctl.recording import read_info
 from robotctl.recording.format.names import INFO_RECORD
+from tests.support.lines import run_program
 from tests.support.users import as_root, process_of
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import ROBOTCTL, NewPeer, Peer, World, new_world
@@ -134,16 +135,10 @@ def test_a_start_fails_if_the_socket_path_is_not_a_socket(world: World) -> None:
 
 def test_a_start_that_may_open_too_few_files_is_refused(world: World) -> None:
     command = [ROBOTCTL, "start", "--sim", "--recordings", str(world.recordings)]
-    ran = subprocess.run(
-        ["sh", "-c", 'ulimit -n 64; exec "$@"', "sh", *command],
-        env=world.environment,
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_S,
-        check=False,
+    limited = ["sh", "-c", 'ulimit -n 64; exec "$@"', "sh", *command]
+    run_program(*limited, env=world.environment).failed(
+        4, "this process may open 64 files, and a daemon needs 128: raise the limit"
     )
-    assert ran.returncode == 4
-    assert "this process may open 64 files, and a daemon needs 128: raise the limit" in ran.stderr
     assert not world.recordings.exists()
 
 
@@ -167,10 +162,8 @@ sys.meta_path.insert(0, Interrupting())
 runpy.run_module("robotctl.daemon", run_name="__main__", alter_sys=True)
 """
     command = [sys.executable, "-P", "-c", program, "--robot", "robot"]
-    ran = subprocess.run(
-        command, env=world.environment, cwd=world.folder, capture_output=True, timeout=DEADLINE_S
-    )
-    assert (ran.returncode, ran.stderr) == (130, b"")
+    ran = run_program(*command, env=world.environment, cwd=world.folder)
+    assert (ran.exit_code, ran.err) == (130, "")
 
 
 def test_a_start_takes_parameters_remaps_a_namespace_and_a_node_name(world: World) -> None:

@@ -35,6 +35,7 @@ from robotctl.kernel.modes import Mode
 from robotctl.ros.executables import mode_client
 from robotctl.ros.executables.mode_client import mode_of
 from robotctl.ros.executables.velocity_publisher import sweep_mps
+from tests.support.lines import Ran, run_program
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import installed
 
@@ -197,9 +198,8 @@ def somebody(domain_id: int) -> Iterator[Node]:
     context.destroy()
 
 
-def client(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [installed("mode_client"), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+def client(*arguments: str) -> Ran:
+    return run_program(installed("mode_client"), *arguments)
 
 
 def commands_heard_by(node: Node, topic: str) -> list[tuple[float, float]]:
@@ -320,18 +320,16 @@ def test_the_tutorials_calls_are_answered_by_one_service_that_leaves_moving_for_
     answers = [client("MOVING")]
     robot = somebody.create_subscription(Twist, "cmd_vel", lambda _: None, 10)
     service.begins("velocity commands are taken: back to IDLE")
-    refused = client("MOVING")
-    assert refused.returncode == 4
-    assert "this service drives no robot: robotctl start does" in refused.stdout
+    client("MOVING").failed(4, out="this service drives no robot: robotctl start does")
     somebody.destroy_subscription(robot)
     answers += [client(mode) for mode in ("idle", "3", "moving")]
-    assert [answer.stdout for answer in answers] == [
+    assert [answer.out for answer in answers] == [
         "success=True, message='Mode changed to MOVING', current_mode=1\n",
         "success=True, message='Mode changed to IDLE', current_mode=0\n",
         "success=True, message='Mode changed to EMERGENCY_STOP', current_mode=3\n",
         f"success=False, message={LATCHED!r}, current_mode=3\n",
     ]
-    assert [answer.returncode for answer in answers] == [0, 0, 0, 4]
+    assert [answer.exit_code for answer in answers] == [0, 0, 0, 4]
     assert second.wait() == 4
     assert second.text == (
         "mode_service: /set_mode is served already: ask that one, or give this one another "
@@ -364,13 +362,9 @@ def test_a_wrong_argument_is_named_in_a_sentence(
     arguments: list[str], domain: str, text: str, monkeypatch: pytest.MonkeyPatch, domain_id: int
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", domain or str(domain_id))
-    command = [installed("velocity_publisher"), "--ros-args"]
-    ran = subprocess.run(
-        [*command, *arguments], capture_output=True, text=True, check=False, timeout=60
-    )
-    assert ran.returncode == 2
-    assert "Traceback" not in ran.stderr
-    last = ran.stderr.splitlines()[-1]  # rcl may say something before
+    err = run_program(installed("velocity_publisher"), "--ros-args", *arguments).failed(2)
+    assert "Traceback" not in err
+    last = err.splitlines()[-1]  # rcl may say something before
     assert last.startswith("velocity_publisher: ")
     assert text in last
 

@@ -73,6 +73,13 @@ def run_python(
     )
 
 
+def run_program(*command: object, **options: Any) -> Ran:
+    """Run a program to its end; `options` are those of subprocess.run."""
+    options = {"capture_output": True, "text": True, "timeout": 2 * DEADLINE_S, **options}
+    ran = subprocess.run([*map(str, command)], check=False, **options)
+    return Ran(ran.returncode, ran.stdout, ran.stderr)
+
+
 def _missing(stream: str, texts: Iterable[str]) -> list[str]:
     told = f"{stream}\n{' '.join(stream.split())}"
     return [text for text in texts if text not in told]
