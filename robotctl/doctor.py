@@ -36,7 +36,7 @@ from robotctl.messages.cdr import ODOMETRY
 
 
 class Level(Enum):
-    """How bad a finding is."""
+    """The severity of a finding."""
 
     OK = "ok"
     WARNING = "warning"

@@ -154,5 +154,5 @@ def seal_folder(robot: str) -> Path:
 
 
 def recordings_note_path(robot: str) -> Path:
-    """Return the path of the text file with the path of the last daemon's recordings."""
+    """Return the path of a text file; it contains the path of the last daemon's recordings."""
     return robot_state_folder(robot) / "recordings"

@@ -122,7 +122,7 @@ def send_report(descriptor: int, report: dict[str, Any]) -> None:
 
 
 def decoded(line: bytes) -> dict[str, Any]:
-    """Return the report in a line.
+    """Return the report that a child sent as `line`, a JSON object.
 
     Raises:
         ValueError: The line is not a JSON object.

@@ -34,7 +34,7 @@ MODES = {"idle": 0, "moving": 1, "error": 2, "emergency-stop": 3}
 
 
 def find_mode(text: str) -> int | None:
-    """Return the number of a mode, given by name (any case, - or _) or number; None if unknown."""
+    """Return the number of mode `text`, a name (any case, - or _) or a number; None if unknown."""
     given = text.strip().lower().replace("_", "-")
     for name, number in MODES.items():
         if given in (name, str(number)):

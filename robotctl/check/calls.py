@@ -132,7 +132,7 @@ class Asked:
 
 @dataclass(slots=True)
 class Call:
-    """A recorded call: the requested mode, when it was received, its response.
+    """A recorded call: the `requested` mode, the time of receipt, and the response, if any.
 
     `in_work` is the number of calls that had no response when this call was received.
     """

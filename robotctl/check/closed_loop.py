@@ -133,8 +133,8 @@ _RESULTS = frozenset(kind.__name__ for kind in (DriveEnded, Reply))
 class Run:
     """The requests of a recorded or simulated run, and the outcome of each.
 
-    `refused` has the text of each refusal, `drives` the figures of each drive that ended, both by
-    request id (negative for a request without id). `start` is the first odometry and battery level.
+    `refused` has the text of each refusal, and `drives` has the figures of each drive that ended.
+    Their keys are the request ids, or negative numbers for requests without id.
     """
 
     begin_ns: int = 0
@@ -227,7 +227,7 @@ def resimulate(
 ) -> dict[str, Any]:
     """Simulate a recording again, and return the JSON object of `replay --resim --json`.
 
-    Unless `settings` are empty, simulate it once more with these. `on_progress` is called with the
+    If there are `settings`, simulate it a second time with them. `on_progress` is called with the
     simulated time and the length of the recording [ns].
 
     Raises:

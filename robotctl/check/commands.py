@@ -175,7 +175,7 @@ class OtherPublishers:
 
 @dataclass(slots=True)
 class CommandCounts:
-    """How many commands of each kind the comparison found, with first examples."""
+    """The number of commands of each kind that the comparison found, with first examples."""
 
     paired: int = 0
     missing: int = 0
@@ -265,7 +265,7 @@ class CommandPairs:
         self._waiting.slot(number).sent.append(sent)
 
     def resume(self, proof: Proof, health: Health, t_ns: int) -> None:
-        """Start or continue at a snapshot; `proof` has the number of commands sent before."""
+        """Start or continue at a snapshot; `proof` has the number of commands sent before it."""
         number = proof.commands & MAX_SEQUENCE
         more = (proof.commands - self._number) & MAX_SEQUENCE
         was_moving = bool(self._recent) and not is_zero(self._recent[-1].numbers)

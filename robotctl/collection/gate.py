@@ -247,10 +247,10 @@ def judge_all(
 
 
 def junit_text(report: GateReport) -> str:
-    """Return the report as JUnit XML: a test case per recording, a failure if it fails the gate.
+    """Return the report as JUnit XML with a test case per recording.
 
-    A recording that could not be judged is an error. A recording that is being written is skipped.
-    A recording with an accepted result passes; its output says who accepted it, when and why.
+    A recording that fails the gate is a failure. One that could not be judged is an error. One that
+    is being written is skipped. One whose result was accepted passes; its output names who and why.
     """
     failures, unknown = report.failures(), report.unknown()
     suite = ElementTree.Element(

@@ -137,9 +137,9 @@ def name(value: str) -> str:
 class RecordingRow:
     """A recording: its size, software, totals and verdicts.
 
-    `software` is the digest of the modules that decided and commanded, `parameters` the JSON of
+    `software` is the digest of the modules that decided and commanded. `parameters` is the JSON of
     the kernel's first parameters. `check` and `verify` are the verdicts of `replay --check` and
-    `verify`, and `check_says` is the first finding of the check.
+    `verify`. `check_says` is the first finding of the check.
     """
 
     kind: ClassVar[str] = "recording"
@@ -276,7 +276,7 @@ def index_path(recording: Path) -> Path:
 
 
 def index_path_text(recording: str) -> str:
-    """Do the same as `index_path` on strings, 30 times as fast."""
+    """Return the same path as `index_path`, but as text and 30 times as fast."""
     return (
         f"{recording}.{INDEX_FILE}" if recording.endswith(".mcap") else f"{recording}/{INDEX_FILE}"
     )

@@ -316,7 +316,7 @@ def crashed(content: Content, settings: Mapping[str, str], error: Exception) -> 
 
 
 def key_of(recording: str, settings: Mapping[str, str]) -> str:
-    """Return a result's key: a SHA-256 over the recording's hash, this robotctl and `settings`."""
+    """Return a result's key: a SHA-256 over `recording` (its hash), the software and `settings`."""
     parts = [recording, software_hash(), *(f"{key}={settings[key]}" for key in sorted(settings))]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 

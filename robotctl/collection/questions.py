@@ -180,7 +180,7 @@ def find(
     """Return the rows of a table that meet `condition`; all rows if `condition` is "".
 
     `sort` is a column; a "-" before its name means descending order. If `sort` is "", rows are
-    sorted by `start_ns`, rows of `topics` by recording. A `limit` of 0 means no limit.
+    sorted by `start_ns`, or by `recording` if the table lacks it. A `limit` of 0 means no limit.
 
     Raises:
         UsageError: The condition or the column is wrong.

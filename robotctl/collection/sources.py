@@ -111,7 +111,7 @@ class LocalFile:
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
-    """An object of a store; `key` is its path in the copy."""
+    """An object of a store; its copy has the path `key` below the folder of the copy."""
 
     key: str
     store: ObjectStore

@@ -90,7 +90,7 @@ class RecordingParams:
 
 @dataclass(frozen=True, slots=True)
 class DecisionParams:
-    """How long the journal of decisions is kept; 0 means forever."""
+    """The retention of the journal of decisions; 0 means forever."""
 
     keep_years: float = bounded(
         5.0, 0.0, 100.0, "years", "how long the journal of decisions is kept", Change.START
@@ -559,7 +559,7 @@ def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
 
 
 def flatten(settings: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield each dotted key and value of nested mappings; a mapping under RATE_KEYS is a value."""
+    """Yield dotted key and value of each setting. The value of a key in RATE_KEYS is a mapping."""
     for name, value in settings.items():
         key = f"{prefix}{name}"
         if isinstance(value, dict) and key not in RATE_KEYS:

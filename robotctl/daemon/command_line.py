@@ -71,7 +71,7 @@ class DaemonOptions:
 
 
 def parse(arguments: list[str]) -> DaemonOptions:
-    """Return the options that the arguments of the command line give.
+    """Return the options in the words of a command line.
 
     Raises:
         UsageError: A name or number is not allowed.

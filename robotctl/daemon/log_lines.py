@@ -294,7 +294,7 @@ class LoopHandler(LineHandler):
             super().emit(record)
 
     def prepare(self, record: logging.LogRecord) -> Line:
-        """Return the record with its text."""
+        """Return `record` with its formatted text."""
         return record, self.format(record)
 
     def enqueue(self, record: Any) -> None:

@@ -48,7 +48,7 @@ class LoggerLevels:
         return {"UNSET": UNSET, **LEVELS}[level_name(level)]
 
     def refusal(self, name: str, level: int) -> str:
-        """Return why a level cannot be set, or "" if it can."""
+        """Return "" if the level can be set, else the reason why not."""
         if level not in (UNSET, *LEVELS.values()):
             return "Failed reason: Invalid logger level."  # the words of rclpy
         if len(name) > MAX_NAME_LENGTH:

@@ -43,7 +43,7 @@ class Evidence:
 
 
 def collect(entries: Sequence[Entry], since_ns: int = 0) -> Evidence:
-    """Return what happened from `since_ns` (since the epoch) on, as `entries` report it.
+    """Return the evidence in `entries` from `since_ns` (since the epoch) on.
 
     A daemon is included unless it ended before `since_ns`. If the last daemon has no END entry, it
     counts as running: the entries cannot show whether it was killed.

@@ -53,7 +53,7 @@ _COMMAND = re.compile(
 
 
 class Advice(NamedTuple):
-    """What is wrong (`cause`), and what to do about it (`cure`; "" if nothing helps)."""
+    """A problem as `cause`, and advice as `cure`, which is "" if nothing helps."""
 
     cause: str
     cure: str

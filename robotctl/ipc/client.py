@@ -269,7 +269,7 @@ class Client:
 
 
 def no_daemon(robot: str) -> NoDaemon:
-    """Return the error that says that no daemon runs for `robot`, and how to start a daemon."""
+    """Return the error for a `robot` without a daemon; its advice is the command to start one."""
     return NoDaemon(
         f"no daemon for robot {robot!r}",
         f"start one with: {command_for(robot, 'start')}",

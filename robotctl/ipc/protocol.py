@@ -206,7 +206,7 @@ def parse_response(line: bytes) -> Result | Failure:
 
 
 def is_emergency_stop(request: Request) -> bool:
-    """Return whether `request` is an emergency stop: no hello and no client limit apply to it."""
+    """Return whether `request` is an emergency stop: it needs no hello and no free connection."""
     mode = request.params.get("mode")
     return request.method == "set_mode" and type(mode) is int and mode == EMERGENCY_STOP_MODE
 

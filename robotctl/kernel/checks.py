@@ -159,7 +159,7 @@ def fence_left(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def foreign_publisher(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return the sentence of `foreign_command`, or "" if `command.foreign` is WARN."""
+    """Return "" if `command.foreign` is WARN, else the result of `foreign_command`."""
     return "" if params.command.foreign is Foreign.WARN else foreign_command(health, params, t_ns)
 
 

@@ -37,8 +37,8 @@ class Held:
 
     After that, no command is sent for `quiet_s` seconds, to see when the base stops by itself.
 
-    A hold-to-run velocity must be repeated by its client; `heard_t_ns` is the steady time of the
-    last request, None if not held to run. After `for_s` of silence the command is 0 at once.
+    A hold-to-run velocity must be repeated by its client. `heard_t_ns` is the steady time of its
+    last request, None for other velocities. After `for_s` of silence the command is 0 at once.
     """
 
     linear_mps: float
@@ -74,7 +74,7 @@ class Held:
         return self.is_held_to_run and not (self.linear_mps or self.angular_rps)
 
     def is_silent(self, t_ns: int, period_s: float) -> bool:
-        """Return whether the silence of a hold-to-run client would exceed `for_s` at the next tick.
+        """Return whether, at the next tick, the hold-to-run client will be silent for over `for_s`.
 
         `period_s` is the period of the ticks; it counts as at most half of `for_s`.
         """

@@ -289,7 +289,7 @@ class Drive:
         return self.path.distance_to(self.origin.express(pose), at.segment, at.length)
 
     def report(self, t_ns: int) -> DriveReport:
-        """Return how well the robot followed the path, from the beginning until `t_ns`."""
+        """Return the drive's laps, distance, duration and tracking errors until `t_ns`."""
         score, count = self.score, max(self.score.samples, 1)
         return DriveReport(
             self.progress.laps,

@@ -42,7 +42,7 @@ class Guard(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """The mode that a trigger leads to, and the condition. Guard.NEVER refuses the trigger."""
+    """The mode after a trigger, if `guard` allows the change. Guard.NEVER refuses the trigger."""
 
     target: Mode
     guard: Guard = Guard.NONE

@@ -54,7 +54,7 @@ def with_value(section: Any, path: tuple[str, ...], value: object) -> Any:
 
 
 def text_of(value: object) -> str:
-    """Return the text of a value, in the form of `ParameterRequested`."""
+    """Return `value` as text, in the form that `ParameterRequested` has."""
     return str(value.value if isinstance(value, Enum) else value)
 
 

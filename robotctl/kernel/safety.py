@@ -122,7 +122,7 @@ FAULT_TRIGGERS: Mapping[Mode, Trigger] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A rule that applies now, and what its check found."""
+    """A rule that applies now; `detail` is the sentence that its check returned."""
 
     rule: Rule
     detail: str

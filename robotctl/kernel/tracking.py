@@ -57,7 +57,7 @@ def within(command: Twist, limits: VelocityLimits) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Where the robot should be on its path now, and how it should move there.
+    """The pose that the robot should have on its path now, and the motion that it should make.
 
     `linear` is the speed along the path [m/s], `curvature` the curvature of the path [1/m], and
     `turning` the rate of a turn on the spot [rad/s].

@@ -57,7 +57,7 @@ def changed(value: T, **changes: Any) -> T:
 
 
 class Cause(Enum):
-    """Why the robot may not move; `robotctl.kernel.safety` says what each cause leads to."""
+    """A cause for which the robot may not move; `robotctl.kernel.safety` has the effect of each."""
 
     OPERATOR_STOP = "operator stop"
     ESTOP_PRESSED = "emergency stop pressed"
@@ -359,7 +359,7 @@ class LoopStalled:
     """The control loop stalled for `stalled_s` seconds.
 
     Meanwhile a watchdog sent `zeros` zero commands, and `withheld` commands of the kernel were not
-    sent. `detail` says what blocked the loop.
+    sent. `detail` describes the code that blocked the loop.
     """
 
     t_ns: int

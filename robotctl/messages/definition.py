@@ -337,8 +337,8 @@ def read_description(type_name: str, description: Mapping[str, Any]) -> Definiti
     """Return the definition of `type_name`: the described type, or a type that it needs.
 
     Raises:
-        UnreadableType: The description is malformed, exceeds a limit, has a type that ros2msg
-            cannot express (long double, fixed strings), or a fault that `_checked` finds.
+        UnreadableType: The description is malformed or exceeds a limit, ros2msg cannot express it
+            (long double, fixed strings), or `_checked` finds a fault.
     """
     try:
         known = [description["type_description"], *description["referenced_type_descriptions"]]

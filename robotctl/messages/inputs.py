@@ -61,7 +61,7 @@ def sample_of(odometry: Odometry) -> Sample:
 
 
 def read_sample(data: bytes) -> Sample:
-    """Return the numbers of serialized odometry, those of `UNREADABLE` if it cannot be read."""
+    """Return the numbers of serialized odometry, those of `UNREADABLE` if `data` is malformed."""
     try:
         return _new(Sample, _decode(data))
     except Exception:  # noqa: BLE001 - the bytes may be anything
@@ -340,7 +340,7 @@ def _tilt(data: bytes) -> tuple[float, str]:
 
 
 def statuses(robot: str, data: bytes) -> Iterator[tuple[str, float, str]]:
-    """Yield name, level and `name: text` of each DiagnosticStatus that `robot` did not send itself.
+    """Yield name, level and "name: text" of each DiagnosticStatus except those sent by `robot`.
 
     Raises:
         struct.error: The message is cut short, not in plain CDR, or too long.

@@ -58,7 +58,7 @@ class TypeName(NamedTuple):
 
 
 def parse_type_name(type_name: str) -> TypeName:
-    """Split a type name.
+    """Return the parts of `type_name`.
 
     Raises:
         UnusableType: ROS does not allow the name.

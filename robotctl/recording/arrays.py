@@ -34,7 +34,7 @@ Array = np.ndarray[Any, Any]
 class TopicArrays:
     """The fields of a topic, one entry for each message, in the order of `log_ns`.
 
-    `log_ns` and `publish_ns` are when a message was received and published [ns since the epoch],
+    `log_ns` and `publish_ns` are the times of receipt and of publication [ns since the epoch].
     `time_s` is the log time since the first message of the recording [s]. `arrays["a.b"]` is the
     array of the field `a.b`. A number has the field's NumPy type, and a fixed array of n numbers
     has n columns; texts, bytes and sequences have dtype object.

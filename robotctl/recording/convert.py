@@ -357,7 +357,7 @@ class ChannelTable:
         self._schema_ids: dict[tuple[object, ...], int] = {}
 
     def add(self, channel: Channel, schema: Schema | None) -> int:
-        """Return the channel's id in the result, perhaps new; UnreadableFile if no id is left."""
+        """Return the id of `channel`, added if it is new; raise UnreadableFile if no id is left."""
         metadata = dict(channel.metadata)
         if _QOS in metadata:
             metadata[_QOS] = named_policies(metadata[_QOS])
@@ -459,7 +459,7 @@ class Form:
 
 @dataclass(slots=True)
 class Converted:
-    """The result of a conversion; `lost` says in sentences what could not be read."""
+    """The result of a conversion; `lost` has a sentence for each part that could not be read."""
 
     files: list[BagFile] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)

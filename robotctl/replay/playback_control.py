@@ -26,8 +26,8 @@ RATES: Final = tuple(
 class Schedule:
     """Maps recorded time to steady time: `at_ns` (recorded) is due at `moment_ns` (steady).
 
-    From `moment_ns` on, `rate` seconds of the recording are due each second; None: all at once.
-    While `paused`, nothing is due.
+    From `moment_ns` on, `rate` seconds of the recording are due each second. If `rate` is None,
+    the whole recording is due at once. While `paused`, nothing is due.
     """
 
     moment_ns: int

@@ -158,7 +158,7 @@ class ClockPublisher:
 
 
 class Player:
-    """Sends each entry with its topic's `Send` when the entry is due; at once if `rate` is None.
+    """Sends each entry by the `Send` of its topic when it is due, or at once if `rate` is None.
 
     `run` sends in the thread that calls it; all other members may be used from any thread.
     """

@@ -154,7 +154,7 @@ class ReplayGuard:
         return is_named(route.topic, self._named)
 
     def check(self) -> None:
-        """Check that the replay is still safe, to be called repeatedly; with a prefix, do nothing.
+        """Check that the replay is still safe. Call this repeatedly. It does nothing with a prefix.
 
         Raises:
             Refused: A daemon has joined or, with --original-names, a robot is or may be moving.

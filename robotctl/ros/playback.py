@@ -273,7 +273,7 @@ _MATCHED_POLL_S: Final = 0.002
 
 
 class Unpublishable(Exception):
-    """A topic cannot be published here; the text says why, and continues "the topic ..."."""
+    """A topic cannot be published here; the text is the reason, to follow "the topic NAME "."""
 
 
 class ReplaySession:

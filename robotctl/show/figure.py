@@ -48,7 +48,7 @@ class Axis:
         return self.begin + (value - self.low) * self.scale
 
     def ticks(self, at_most: int) -> list[float]:
-        """Return evenly spaced round numbers within `low` and `high`, `at_most` + 1 or fewer."""
+        """Return at most `at_most` + 1 evenly spaced round numbers from `low` to `high`."""
         rough = (self.high - self.low) / at_most
         magnitude = 10.0 ** floor(log10(rough))
         step = next(m for m in (1.0, 2.0, 5.0, 10.0) if m * magnitude >= rough * 0.999) * magnitude

@@ -155,7 +155,7 @@ def rate_picture(counts: Sequence[int]) -> Markup | None:
 
 
 def provenance_table(recorded: Recorded) -> Markup:
-    """Return the table of how the recording was made: files, writer, profile, and metadata."""
+    """Return a table with the origin of the recording: files, writer, profile, and metadata."""
     info = recorded.info
     told = info.metadata.get(INFO_RECORD, {})
     known = {
@@ -185,7 +185,7 @@ def _number(value: float, unit: str) -> str:
 
 
 class Tone(StrEnum):
-    """What a verdict means for the recording; it sets the colour of the verdict."""
+    """The meaning of a verdict for the recording, which sets the colour of the verdict."""
 
     GOOD = "good"
     UNSURE = "unsure"

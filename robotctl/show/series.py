@@ -126,7 +126,7 @@ def is_on_earth(x: float, y: float) -> bool:
 
 
 class DrivenPlace(NamedTuple):
-    """A position [m] and when the robot was there [s]."""
+    """A position [m] and the time at which the robot was there [s]."""
 
     t_s: float
     x: float
@@ -173,7 +173,7 @@ MAX_FIELDS: Final = 8
 class FieldSeries:
     """The values of a field over time; `path` leads to the field in a message.
 
-    `absent` counts the messages without the field, in which a list is too short for `path`.
+    `absent` counts the messages that lack the field, because a list is too short for `path`.
     """
 
     path: str

@@ -45,7 +45,7 @@ def tag(name: str, /, *content: Content, **attributes: Content) -> Markup:
 
 
 def joined(*content: Content) -> Markup:
-    """Return the parts joined; parts that are not markup are escaped."""
+    """Join the parts to one markup; parts that are not markup are escaped."""
     return Markup("".join(map(_text, content)))
 
 

@@ -183,9 +183,9 @@ def while_moving(bench: Bench) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """A simulated drive: how it ended, how long it took, all events and all commands.
+    """A simulated drive: its end, its duration, all events and all commands.
 
-    `pose` is where the robot ended, by its odometry.
+    `pose` is the last pose of the robot by its odometry.
     """
 
     ended: DriveEnded

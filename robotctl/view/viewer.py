@@ -329,7 +329,7 @@ class Viewer(asyncio.Protocol):
     # From the server
 
     def tell(self, message: str | bytes) -> None:
-        """Send an offer, a note or an answer: none is dropped; if too many wait, disconnect."""
+        """Send an offer, a note or an answer. None is dropped: if too many wait, disconnect."""
         kind, data = (TEXT, message.encode()) if isinstance(message, str) else (BINARY, message)
         try:
             self.outbox.put_control(frame_head(kind, len(data)) + data)

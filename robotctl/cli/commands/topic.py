@@ -380,7 +380,7 @@ def hz(
 
 
 def statistics(times_ns: Sequence[int]) -> dict[str, Any] | None:
-    """Return figures about messages received at `times_ns`, None if these span no time.
+    """Return statistics of messages received at `times_ns`, None if the times span no time.
 
     They are the mean rate, the shortest and longest period, its standard deviation, and the count.
     """

@@ -67,10 +67,10 @@ def launch(
     command: Sequence[str],
     on_ready: Callable[[StartSummary], None] = lambda ready: None,
 ) -> StartSummary:
-    """Start a daemon by `command`, in a new session; when it is ready, call `on_ready`.
+    """Start a daemon by `command`, in a new session. When it is ready, call `on_ready`.
 
-    Return the daemon's report, which `on_ready` gets, too. If a signal interrupts this function or
-    `on_ready`, the daemon ends: no daemon runs unnoticed.
+    Return the daemon's report, which is also the argument of `on_ready`. If a signal interrupts
+    this function or `on_ready`, the daemon ends: no daemon runs unnoticed.
 
     Raises:
         RobotctlError: The daemon did not start; the error has its reason and exit code.

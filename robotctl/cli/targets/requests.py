@@ -30,7 +30,7 @@ def request_source(command: str) -> str:
 
 
 def asked_by(command: str, reason: str = "") -> dict[str, str]:
-    """Return who asks and why, as parameters of a request.
+    """Return the parameters of a request that name its source and its reason, if there is one.
 
     Raises:
         UsageError: The reason is not allowed.

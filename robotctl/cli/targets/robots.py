@@ -53,7 +53,7 @@ def names() -> list[str]:
 
 
 def find(robots: Iterable[str]) -> list[RobotDaemon]:
-    """Return the running daemons of `robots`, each with its status, or why it did not answer."""
+    """Return each running daemon of `robots`, with its status or the reason why it has none."""
     return [found for found in at_once(_look, robots) if found is not None]
 
 

@@ -81,7 +81,7 @@ class Pending(Generic[T]):
         self._waiting: dict[int, asyncio.Future[T]] = {}
 
     def expect(self, request_id: int) -> asyncio.Future[T]:
-        """Return a future, set by `settle`, of this request's reply or of the end of its drive."""
+        """Return a future that `settle` sets to the reply to a request, or the end of its drive."""
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         self._waiting[request_id] = future
         future.add_done_callback(lambda _: self._waiting.pop(request_id, None))

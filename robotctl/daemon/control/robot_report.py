@@ -28,7 +28,7 @@ from robotctl.ros.nodes.publishers import CommandLock
 class TrueErrors(NamedTuple):
     """The errors of a drive measured with the simulated robot's true pose.
 
-    `kernel.types.DriveReport` has those by odometry. `closure_m` is NaN until lap 1 is complete.
+    For errors measured by odometry, see `DriveReport`. `closure_m` is NaN until lap 1 is complete.
     """
 
     cross_track_rms_m: float

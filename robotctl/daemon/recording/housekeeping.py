@@ -27,9 +27,9 @@ MAX_PROBLEMS: Final = 10
 class Tidier:
     """Starts processes of the lowest priority that tidy the folder of recordings.
 
-    When `begun` is set, the first process removes what exceeds the retention policy, and repairs
-    what a crash left. Each time that `finished` is set, another process only removes. The daemon
-    does not do this itself, as files may be of any origin and size. For the loop's thread.
+    After `begun` is set, the first process applies the retention policy and repairs files that a
+    crash left. Each time that `finished` is set, a process applies only the policy. Processes do
+    this because files may be of any origin and size. Use the object only in the loop's thread.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
@@ -122,7 +122,7 @@ class Indexer:
 
     @property
     def problem(self) -> str:
-        """How often indexing has failed, and why it last failed; "" if it never has."""
+        """A sentence with the count of failures and the last reason, "" if there are none."""
         if not self._failures:
             return ""
         times = "once" if self._failures == 1 else f"{self._failures} times"

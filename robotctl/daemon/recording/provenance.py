@@ -42,9 +42,9 @@ _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 def provenance() -> dict[str, str]:
     """Return versions, host and git revisions, as far as they are known.
 
-    `git.robotctl` is the commit of robotctl's own source tree, `git.directory` the commit of the
-    repository in which the daemon was started; an unknown commit is left out. `user` is the user
-    who runs the daemon.
+    `git.robotctl` is the commit of robotctl's own source tree. `git.directory` is the commit of the
+    repository in which the daemon was started. Commits that are unknown are left out. `user` is the
+    user who runs the daemon.
     """
     try:
         return dict(_provenance(Path.cwd()))

@@ -126,7 +126,7 @@ def retention_policy(params: RecordingParams) -> RetentionPolicy:
 
 
 def save_recordings_path(recordings: Path, robot: str) -> list[str]:
-    """Save the path of the recordings for later commands; return [] or, if that fails, [a note]."""
+    """Save the path of the recordings for later commands; return a list of notes on failure."""
     note = recordings_note_path(robot)
     try:
         make_private(note.parent)

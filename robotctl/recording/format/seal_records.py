@@ -48,7 +48,7 @@ class LinkKind(IntEnum):
 
 
 def chained(before: bytes, hashed: bytes) -> bytes:
-    """Return the digest that follows the digest `before`; `hashed` is the SHA-256 of new bytes."""
+    """Return the SHA-256 over the digest `before` and `hashed`, the SHA-256 of the new bytes."""
     return sha256(before + hashed).digest()
 
 

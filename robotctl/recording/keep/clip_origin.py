@@ -42,7 +42,7 @@ _AFTERWARDS: Final = (CONVERSION_RECORD, RECOVERY_RECORD)
 class Origin:
     """The comparison of a clip with its source; `wrong` has a sentence for each difference.
 
-    `not_proved` lists what the source cannot confirm; `messages` counts equal messages. Times [ns].
+    `not_proved` has the claims that the source cannot confirm; `messages` counts equal messages.
     """
 
     clip: Path

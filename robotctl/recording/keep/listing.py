@@ -36,7 +36,7 @@ CLIPS_FOLDER = "clips"
 
 @dataclass(frozen=True, slots=True)
 class CatalogFile:
-    """A file of a recording; `modified_s` in seconds since the epoch."""
+    """A file of a recording, last modified at `modified_s` [s since the epoch]."""
 
     path: Path
     size: int

@@ -28,7 +28,7 @@ MAX_SENTENCES = 20
 
 
 class PlaceKind(Enum):
-    """How the messages of a place are stored."""
+    """The form in which a file stores the messages of a place."""
 
     CHUNK = "chunk"
     TORN_CHUNK = "torn chunk"

@@ -154,11 +154,11 @@ class LocalSource:
             raise
 
     def size(self) -> int:
-        """Return the present size of the decompressed file [bytes]."""
+        """Return the present size [bytes]; for a compressed file, the size of its content."""
         return os.fstat(self._fd).st_size
 
     def stored_bytes(self) -> int:
-        """Return the bytes on the disk."""
+        """Return the number of bytes that the file has on the disk."""
         return self.size() if self._packed_bytes is None else self._packed_bytes
 
     def read(self, offset: int, length: int) -> bytes:
@@ -248,7 +248,7 @@ def recording_files(path: Path) -> list[Path]:
 
 
 def reason_of(error: OSError | ValueError) -> str:
-    """Return why a file cannot be read, and what to do if this user lacks the permission."""
+    """Return the reason of a read error, with advice if this user lacks the permission."""
     reason = getattr(error, "strerror", None) or str(error) or repr(error)
     return f"{reason} ({DENIED_CURE})" if isinstance(error, PermissionError) else reason
 

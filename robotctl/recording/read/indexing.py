@@ -307,7 +307,7 @@ def index_by_scanning(
 
 
 def read_gaps(file: InputFile, index: FileIndex) -> None:
-    """Add to `index` the records and messages in `index.gaps`, which the summary does not list."""
+    """Add the content of `index.gaps` to `index`; the summary lists nothing of these parts."""
     of_summary = dict(index.counts), index.start_ns, index.end_ns
     scan = _Scan(file, index)
     for start, end in index.gaps:

@@ -133,7 +133,7 @@ class PlaceReader:
         return Message(*self._names[channel], content, log_ns, publish_ns, sequence)
 
     def contents(self) -> Iterator[list[tuple[RecordHead, bytes]]]:
-        """Yield head and data of the selected channels' messages in file order, in lists.
+        """Yield lists with head and data of the messages of the selected channels, in file order.
 
         Raises:
             Damaged: After the last message, if some are missing.
@@ -243,7 +243,7 @@ def place_readers(
 
 
 def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:
-    """Return topic and type by channel id, for all channels or only for those of `topics`."""
+    """Return topic and type of each channel by channel id; only channels of `topics`, if given."""
     return {
         channel.id: (channel.topic, type_name_of(channel, index.schemas.get(channel.schema_id)))
         for channel in index.channels.values()

@@ -257,7 +257,7 @@ class Recording:
         return [record for each in self._files for record in each.index.metadata]
 
     def metadata_of_file(self, number: int) -> dict[str, dict[str, str]]:
-        """Return the last metadata record of each name in one file: 0 is the first, -1 the last."""
+        """Return the last metadata record of each name in file `number` (0: first, -1: last)."""
         return {record.name: record.metadata for record in self._files[number].index.metadata}
 
     def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
@@ -316,7 +316,7 @@ class Recording:
     ) -> Iterator[Message]:
         """Yield the messages in file order: log times step back if the clock was set back.
 
-        `on_missing` gets a sentence about each lost part, `on_progress` bytes done and in total.
+        `on_missing` gets a sentence about each lost part, `on_progress` the bytes done and total.
         """
         done, total = 0, sum(each.file.size for each in self._files)
         for each in self._files:

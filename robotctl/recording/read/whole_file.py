@@ -295,7 +295,7 @@ class WholeFile:
         return not self.flaws.count and not self.data.unread
 
     def flaw_sentences(self) -> list[str]:
-        """Return a sentence for each flaw that is kept, and for the number of further ones."""
+        """Return a sentence for each flaw that is kept, and one with the number of other flaws."""
         more = self.flaws.count - len(self.flaws.kept)
         found = [flaw.sentence() for flaw in self.flaws.kept]
         return [*found, f"and {more} more"] if more else found
@@ -444,8 +444,8 @@ def find_flip(told: int, found: int, size: int) -> int | None:
     """Return the offset of the byte in which one flipped bit explains the difference, or None.
 
     `told` and `found` are CRC-32s of `size` bytes. A CRC is linear: the effect of a bit depends on
-    the number of bytes behind it. The search, in steps of the root of `size`, takes 0.1 s for
-    100 MB.
+    the number of bytes behind it. The search makes steps of about sqrt(`size`) bytes. It takes
+    0.1 s for 100 MB.
     """
     if told == found or size > MAX_FLIP_BYTES:
         return None

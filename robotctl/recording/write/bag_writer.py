@@ -128,7 +128,7 @@ class RecordingFile:
         self.event_count += 1
 
     def sync(self) -> None:
-        """Force the written data to the disk."""
+        """Sync the written data to the disk, then store the seal's newest link outside the file."""
         if not self._synced:
             self._mcap.sync()
             self._synced = True

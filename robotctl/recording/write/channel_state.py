@@ -86,7 +86,7 @@ class LatchedMessage(NamedTuple):
 
 @dataclass(slots=True)
 class ChannelState:
-    """The live counts and latched messages of one channel; one thread alone changes each count."""
+    """The live counts and latched messages of one channel. Only one thread changes each count."""
 
     topic: Topic
     received: int = 0

@@ -80,7 +80,7 @@ class EvidenceChunks:
         self._evidence: set[int] = set()
 
     def separate(self, packed: PackedMessages) -> tuple[PackedMessages, ...]:
-        """Return copies of evidence and rest as two chunks, or only `packed` if not worth it.
+        """Return copies of evidence and rest as two chunks; `packed` alone if a split does not pay.
 
         Raises:
             MemoryError: There is no memory for the copies; nothing is changed.

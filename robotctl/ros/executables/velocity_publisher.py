@@ -101,7 +101,7 @@ class VelocityPublisher(Node):
         self._asked = limited
 
     def obstacle(self) -> str:
-        """Return why the sweep may not run now, or "" if it may."""
+        """Return the reason for which the sweep may not run now, or "" if it may."""
         other = self._other_publisher()
         if other:
             return other

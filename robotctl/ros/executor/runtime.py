@@ -266,7 +266,7 @@ class Runtime:
         self._pools.clear()
 
     def mark_flooded(self, source: object) -> None:
-        """Note that a `Source` had data left at its slice's end: its next slices are shorter."""
+        """Shorten the next slices of `source`, because it had data left at the end of its slice."""
         if source not in self.flooded:
             self.flooded.add(source)
             self._share_turn()

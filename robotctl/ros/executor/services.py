@@ -228,8 +228,8 @@ def _name_of(server: ActionServer) -> str:
 class ActionClientSource(_ActionSource):
     """An action client: sets the futures of responses, and runs the callbacks for feedback.
 
-    Its callback group holds back feedback, which runs a callback, but not responses and status,
-    which only set futures (see `ClientSource`).
+    Its callback group holds back only feedback, which runs a callback. Responses and status only
+    set futures, so they are not held back (see `ClientSource`).
     """
 
     announcements = (

@@ -135,7 +135,7 @@ class IntroductionWriter:
 
 
 def read_introduction(data: bytes) -> Introduction:
-    """Read a serialized rmw_dds_common/ParticipantEntitiesInfo.
+    """Return the content of a serialized rmw_dds_common/ParticipantEntitiesInfo.
 
     Raises:
         struct.error: `data` is cut short, or is not such a message.

@@ -207,9 +207,9 @@ def topic_facts(node: Node, topic: str) -> dict[str, Any]:
 
 
 def node_facts(node: Node, name: str) -> dict[str, Any] | None:
-    """Return what the node with this full name publishes, subscribes to, serves and calls.
+    """Return topics and services that the node `name` publishes, subscribes to, serves and calls.
 
-    None if no such node is discovered.
+    `name` is the full name. Return None if no such node is discovered.
     """
     namespace, _, base = name.rpartition("/")
     try:

@@ -48,7 +48,7 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class DriveProgress:
-    """How far a drive has come."""
+    """The progress of a drive."""
 
     distance_m: float
     laps: int
@@ -112,7 +112,7 @@ class DriveAction:
         )
 
     def close(self) -> None:
-        """Destroy the action server: the node does not, and the server keeps the context alive."""
+        """Destroy the action server. The node does not; the server would keep the context alive."""
         self._server.destroy()
 
     def _has_room(self, _: Any) -> GoalResponse:

@@ -42,7 +42,7 @@ so short that one wake-up of the loop handles both timers, the robot's first."""
 
 
 def odometry_topic(name: str) -> OwnTopic:
-    """Return the simulated robot's odometry topic, with the name `name`."""
+    """Return the topic `name` for the odometry of the simulated robot."""
     return OwnTopic(name, OdometryMessage, qos.SENSOR)
 
 

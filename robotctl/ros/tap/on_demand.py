@@ -63,10 +63,10 @@ class OnDemandTap:
                 await changes.wait(0.0 if is_loading else CALM_S)
 
     def want(self, topic: str, sink: ViewSink) -> None:
-        """Subscribe to a topic that has appeared; pass `sink` its messages, the latched ones first.
+        """Subscribe to a topic that has appeared; its messages go to `sink`, latched ones first.
 
-        If the topic has a sink already: subscribe again if there are latched messages, so that the
-        new `sink` gets them; otherwise keep the earlier sink and ignore `sink`.
+        If the topic already has a sink and no latched messages, keep that sink and ignore `sink`.
+        Otherwise subscribe again, so that the new sink gets the latched messages.
         """
         if topic in self._tapped and not self._tapped[topic].is_latched:
             return

@@ -148,7 +148,7 @@ class Unrecorded(Sentences):
         self.say(self._last_missed)
 
     def warnings(self) -> Iterator[str]:
-        """Yield all sentences, then one about the topics that `miss` has counted."""
+        """Yield the sentences about topics, and a last one on those that `miss` has counted."""
         yield from super().warnings()
         if self._missed:
             others = f" (and {self._missed - 1} other topics)" if self._missed > 1 else ""
