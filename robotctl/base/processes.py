@@ -254,12 +254,12 @@ def start(
     with_stdin: bool = False,
     log: Path | None = None,
 ) -> Child:
-    """Start `command` with the arguments `option` and the number of the descriptor for reports.
+    """Start `command` with two more arguments: `option` and the descriptor's number for reports.
 
-    With a `log`, the child's stdout and stderr go to it; the child runs in a new session, outlives
-    this process and inherits no other descriptors. Without a `log`, both go to this process's
-    stderr; the child runs in a new process group, so that a Ctrl-C in the terminal does not reach
-    it. The child's stdin is a pipe if `with_stdin` is set, otherwise /dev/null.
+    With a `log`, the child writes stdout and stderr to that file, runs in a new session, outlives
+    this process and inherits no other descriptors. Without a `log`, it writes both to our stderr,
+    and runs in a new process group, so that a Ctrl-C in the terminal does not reach the child. Its
+    stdin is a pipe if `with_stdin` is set, otherwise /dev/null.
     """
     ours: list[int] = []
     theirs: list[int] = []

@@ -145,7 +145,7 @@ class Run:
     start: Start = field(default_factory=Start)
 
     def read(self, entry: JournalEntry, scale: BatteryScale) -> None:
-        """Read an entry of the journal.
+        """Add the request, result or start value in an entry of the journal; ignore other entries.
 
         Raises:
             UnreadableFile: The entry is not of this version.

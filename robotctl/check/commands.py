@@ -150,7 +150,7 @@ class OtherPublishers:
         """Begin and end of each period."""
 
     def begin(self, health: Health, t_ns: int) -> None:
-        """Note the other publishers that a snapshot at `t_ns` has in its `health`."""
+        """Note the other publishers in `health`, which is from a snapshot at `t_ns`."""
         topic = health.command_topic
         if topic.foreign_t_ns is not None:
             self._seen.append((topic.foreign_t_ns, topic.foreign_t_ns))

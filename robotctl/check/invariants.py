@@ -51,7 +51,7 @@ _REQUESTS = (ModeRequested, ResetRequested, DriveRequested, ParameterRequested, 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A sentence about a violated invariant; number and steady time [ns] of the journal entry."""
+    """A violated invariant: number and steady time [ns] of the journal entry, and a sentence."""
 
     seq: int
     t_ns: int

@@ -186,7 +186,7 @@ class Waiting(Generic[Entry, Sent]):
         return slot
 
     def drop(self, number: int) -> None:
-        """Remove the slot of a number, which needs no judgement any more."""
+        """Remove the slot of `number`, because it no longer needs a judgement."""
         self._slots.pop(number, None)
 
     def clear(self) -> None:

@@ -69,7 +69,7 @@ ENDS_OF_OPTIONS = ("--", "--ros-args")
 
 
 def behind_the_command(arguments: list[str]) -> list[str]:
-    """Move --robot and --json from before the command to the end of its options.
+    """Move --robot and --json, if they stand before the command, to the end of its options.
 
     `--robot r2 topic list` becomes `topic list --robot r2`. If any other option stands before the
     command, nothing is moved.

@@ -257,7 +257,7 @@ def columns(kind: type[Any]) -> dict[str, str]:
 
 
 def all_columns() -> dict[str, str]:
-    """Return the columns of all classes of rows, `kind` first, with their types in SQL."""
+    """Return {column: SQL type} with the columns of all classes of rows, `kind` first."""
     found = {"kind": "VARCHAR"}
     for kind in KINDS:
         found |= columns(kind)

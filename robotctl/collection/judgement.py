@@ -165,7 +165,7 @@ def totals_of(changes: Iterable[Change]) -> dict[str, Any]:
 
 
 def ends_otherwise(drive: Mapping[str, Any]) -> bool:
-    """Return whether only one run has the drive, or its end differs in more than the text."""
+    """Return whether the drive ended in one run only, or in both but not in the same way."""
     mine, theirs = drive["recorded"], drive["what_if"]
     if mine is None or theirs is None:
         return True

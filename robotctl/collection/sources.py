@@ -76,7 +76,7 @@ class LocalFile:
 
     @classmethod
     def of(cls, key: str, path: Path, status: os.stat_result) -> Self:
-        """Return a file with the size and the mtime that `status`, the stat of `path`, has."""
+        """Return the file `path` with the key `key`; `status` is the stat of `path`."""
         return cls(key, path, status.st_size, status.st_mtime_ns)
 
     def sha256(self, pace: Pace) -> str:

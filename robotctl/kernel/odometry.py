@@ -49,8 +49,8 @@ def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> 
 def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -> str:
     """Return why this sample is impossible, "" if it is possible.
 
-    Its stamp must not be before the stamp of the previous sample, possible or not. So only one
-    sample is impossible when the wall clock is set back.
+    Its stamp must not be before the stamp of the previous sample, even if that was impossible. So
+    only one sample is impossible when the wall clock is set back.
     """
     last = health.odometry
     if not is_finite(odometry):

@@ -69,7 +69,7 @@ def read_sample(data: bytes) -> Sample:
 
 
 def read_odometry(data: bytes) -> Odometry:
-    """Return the kernel's value of serialized odometry, `UNREADABLE` if it cannot be read."""
+    """Return the odometry in the message `data`; `UNREADABLE` if it cannot be read."""
     try:
         x, y, theta, linear, angular, stamp_ns = _decode(data)
     except Exception:  # noqa: BLE001 - the bytes may be anything

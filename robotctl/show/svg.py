@@ -64,7 +64,7 @@ def _text(value: Content) -> str:
 
 
 def shown(text: str) -> str:
-    """Return a text on one line of at most MAX_TEXT characters, without control characters."""
+    """Return `text` as one line of at most MAX_TEXT characters, without control characters."""
     line = printable(text[: MAX_TEXT + 1])
     return line if len(line) <= MAX_TEXT else f"{line[: MAX_TEXT - 1]}…"
 

@@ -95,7 +95,7 @@ class HearingKernel(Kernel):
         self._counts = Counter[str]()
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Serialize and number the message of an input, then decide.
+        """Decide on `event`; if it is an input, first serialize and number its message.
 
         Odometry, battery and scans are read back from the message; other events are used as given.
         """

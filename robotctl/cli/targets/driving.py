@@ -43,7 +43,7 @@ class Background(threading.Thread, Generic[T]):
         self._raised: BaseException | None = None
 
     def run(self) -> None:
-        """Run the work, and keep what it returns or raises."""
+        """Run the work, and keep its result or its exception."""
         try:
             self._returned = self._work()
         except BaseException as error:  # noqa: BLE001 - `result` raises it again

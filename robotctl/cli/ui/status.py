@@ -115,7 +115,7 @@ def status_rows(status: Status) -> Iterator[tuple[str, str]]:
 
 
 def pose_text(status: Mapping[str, Any]) -> str:
-    """Return the pose of the robot in its odometry frame."""
+    """Return the pose in `status`, relative to the odometry frame, as text."""
     pose = status.get("pose")
     if not pose:
         return "unknown (no odometry yet)"
@@ -147,7 +147,7 @@ def drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
 
 
 def velocity_text(status: Mapping[str, Any]) -> str:
-    """Return the measured velocity of the robot."""
+    """Return the measured velocity in `status` as text."""
     velocity = status.get("velocity") or {}
     linear, angular = (number(velocity.get(key), "+.3f") for key in ("linear", "angular"))
     return f"{linear} m/s   {angular} rad/s"

@@ -75,7 +75,7 @@ T = TypeVar("T", Reply, DriveEnded)
 
 
 class Pending(Generic[T]):
-    """Futures by request id: of replies, or of the ends of drives. For the loop's thread only."""
+    """Futures of replies or of ends of drives, by request id. For the loop's thread only."""
 
     def __init__(self) -> None:
         self._waiting: dict[int, asyncio.Future[T]] = {}

@@ -54,7 +54,7 @@ class Effects:
     """Returns an ended drive or, if no error was measured, a copy whose errors are NaN."""
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect; a reply waits until a latched stop is on disk, at most DISK_S."""
+        """Carry out an effect; a reply waits, at most DISK_S, until the latch is on the disk."""
         if isinstance(effect, PublishTwist):
             self.publish_twist(effect.twist)
             return

@@ -50,7 +50,7 @@ class Trouble(Enum):
 
 
 class TopicWatch:
-    """Watches one topic with an expected period; times in seconds on a steady clock."""
+    """Watches one topic that has an expected period; times are in seconds on a steady clock."""
 
     def __init__(self, period_s: float, now_s: float, count: int) -> None:
         """Watch from `now_s` on; `count` is the number of messages until then."""
@@ -273,7 +273,7 @@ class Arrivals(Protocol):
 
     @property
     def expected(self) -> Mapping[bytes, int]:
-        """Publisher's gid -> its next sequence number; the publisher known longest is first."""
+        """The next sequence number by publisher's gid; the publisher known longest is first."""
 
 
 @dataclass(slots=True)
@@ -371,7 +371,7 @@ class TopicHealth:
             yield f"{len(told) - MAX_NAMED} more topics have other rates than expected"
 
     def troubles(self) -> str:
-        """Return the present troubles as text without rates, or "" if there are none.
+        """Return a text that names the topics in trouble, without rates; "" if there are none.
 
         A configured topic without a message is in trouble from the beginning.
         """

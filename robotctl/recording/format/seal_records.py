@@ -78,7 +78,7 @@ class Link:
 
     @classmethod
     def read(cls, content: bytes) -> Self:
-        """Return the link in the content of a record.
+        """Return the link in `content`, the content of a record.
 
         Raises:
             ValueError: The content is not a link.

@@ -115,7 +115,7 @@ def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
 
 
 def read_ledger(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, int]]:
-    """Return the ledger's counts by topic; empty for the metadata of a file that was not closed."""
+    """Return the loss ledger in `metadata`, counts by topic; {} if the file was not closed."""
     ledger = {}
     for topic, text in metadata.get(LEDGER_RECORD, {}).items():
         try:

@@ -142,7 +142,7 @@ GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 class ListedRecording:
     """A recording: a folder of files, or a single file.
 
-    `start_ns` and `end_ns` are since the epoch, 0 without messages; `modified_s` too, in seconds.
+    All times are since the epoch. `start_ns` and `end_ns` are 0 if there are no messages.
     `damage` has a sentence for each part that cannot be read; `readable` is False if none can.
     """
 

@@ -165,7 +165,7 @@ _HEAD_BYTES: Final = _BEFORE_NAME + max(map(len, _NAMES)) + 8
 
 
 def find_chunk(file: InputFile, offset: int, budget: UnpackBudget) -> int | None:
-    """Return the offset of the first valid chunk at or after `offset`, or None.
+    """Return the offset of the first valid chunk at or after `offset`, None if there is none.
 
     Raises:
         BeyondLimit: The search would cost more than `budget`.

@@ -53,7 +53,7 @@ _CRC_BYTES = 4
 
 
 def read_summary(file: InputFile) -> tuple[bytes, int]:
-    """Return the summary records after checking their checksum, and the offset where they begin.
+    """Return the records of the summary, with a verified checksum, and their offset in the file.
 
     Raises:
         Damaged: There is no valid summary.

@@ -115,7 +115,7 @@ def since_snapshot(
 ) -> list[Message]:
     """Return the journal entries before `moment_ns`, from the last snapshot on.
 
-    Re-running them gives the kernel's state at that moment. Return [] without an earlier snapshot.
+    Re-running them gives the kernel's state at that moment. If no snapshot is earlier, return [].
     `on_missing` gets a sentence about each part that cannot be read.
     """
     info = recording.info()

@@ -63,7 +63,7 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class RecordingInfo:
-    """What a recording holds; times in nanoseconds since the epoch, 0 without messages.
+    """The summary of a recording; times are in ns since the epoch, or 0 without messages.
 
     `missing` has a sentence for each part that cannot be read. `indexed` is False if a file without
     a valid summary was scanned. `metadata` has the last record of each name.
@@ -115,7 +115,7 @@ def _topics(indexes: list[FileIndex], duration_s: float) -> tuple[TopicInfo, ...
 
 
 def read_info(path: Path) -> RecordingInfo:
-    """Return what `path`, a file or a folder, holds.
+    """Return the `RecordingInfo` of `path`, a file or a folder.
 
     Raises:
         UnreadableFile: Nothing can be read.

@@ -194,7 +194,7 @@ class InputFile:
         """Return the content of a record other than a chunk or an attachment.
 
         Raises:
-            Damaged: The file ends within it, or it claims more than MAX_RECORD_BYTES.
+            Damaged: The file ends within the record, or that claims over MAX_RECORD_BYTES.
         """
         if record.length > MAX_RECORD_BYTES:
             raise Damaged(f"a record at byte {record.offset} claims {record.length} bytes")
@@ -286,7 +286,7 @@ ZEROS: Final = "it is not an MCAP file: it begins with zeros"
 
 
 def read_header(file: InputFile) -> tuple[Header, int]:
-    """Return the header, and the offset after it; LOST_HEADER if the file begins with zeros.
+    """Return the header, LOST_HEADER if the file begins with zeros, and the offset after it.
 
     Raises:
         Damaged: The file is empty, or no MCAP file.

@@ -185,8 +185,8 @@ COMMITS: Final = 3
 
 
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
-    """Write records into the room at `start`. Readers skip all of them until the last step, which
-    writes the head of the first record.
+    """Write records into the reserved space at `start`. Readers skip all of them until the last
+    step, which writes the head of the first record.
 
     Raises:
         OSError: The disk is full or fails. The file must be cut back.

@@ -47,9 +47,9 @@ class LoopThread:
             callback()
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call `callback` in a later turn of the loop.
+        """Call `callback` in a later iteration of the loop.
 
-        Before `open`, keep it for the loop or, after `give_up`, call it at once.
+        Before `open`, it is kept until the loop is set; after `give_up`, it is called at once.
 
         Raises:
             RuntimeError: The loop is closed.
@@ -69,7 +69,7 @@ class LoopThread:
 class FifoScheduling:
     """Runs the calling thread under SCHED_FIFO until `restore`.
 
-    Threads that the thread starts later do not inherit SCHED_FIFO: a DDS thread under it would
+    Threads that it starts later do not inherit SCHED_FIFO, because a real-time DDS thread would
     delay the robot's other threads.
     """
 

@@ -236,7 +236,7 @@ class EventFdSource(Source):
         self.runtime.loop.call_later(RETRY_AFTER_FAILED_TAKE_S, self.resume)
 
     def continue_later(self) -> bool:
-        """Deliver the rest in the loop's next turn, because the time slice ended; return True."""
+        """Deliver the rest in the next loop iteration, as the time slice ended; return True."""
         self.runtime.mark_flooded(self)
         os.eventfd_write(self._fd, 1)
         return True

@@ -302,8 +302,8 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Return how many processes of `introduced` are fully discovered: `known` has the endpoints of
-    the process's `Introduction` and, except on `ros_discovery_info`, no others."""
+    """Return how many processes of `introduced` are fully discovered: all endpoints in their
+    `Introduction` are in `known`, which has no others except those on `ros_discovery_info`."""
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
     for each in known:

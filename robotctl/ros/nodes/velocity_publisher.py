@@ -100,7 +100,7 @@ class VelocityPublisher:
         return node_of(self._node, self.topic, gid)
 
     def publish(self, twist: Twist) -> None:
-        """Send the command or, from `close_gate` to `open_gate`, zero instead."""
+        """Send the command; while the gate is closed, send zero instead."""
         with self._lock:
             if self._gated:
                 self._withheld += twist != ZERO

@@ -31,7 +31,7 @@ LINE_S = 1.0
 
 
 class Screen:
-    """Displays what the player process reports of a replay; this base class shows nothing."""
+    """Displays the reports of the player process; this base class shows nothing."""
 
     def show(self, report: dict[str, Any]) -> None:
         """Show a report: a note, the wait for subscribers, the start, or the progress."""
