@@ -37,7 +37,7 @@ class SimFault(Enum):
 
 
 class Faults:
-    """The simulated faults that are active, and how long each one still lasts."""
+    """The active simulated faults, with the time for which each one still lasts."""
 
     def __init__(self) -> None:
         self._left_s: dict[SimFault, float] = {}

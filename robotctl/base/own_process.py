@@ -27,7 +27,7 @@ MORE_OPEN_FILES: Final = "raise the limit with ulimit -n 1024, or LimitNOFILE in
 
 
 def end_signals() -> asyncio.Event:
-    """Return an event that is set by SIGINT, SIGTERM and, unless nohup or so ignores it, SIGHUP."""
+    """Return an event that is set by SIGINT, SIGTERM and, unless it is ignored (nohup), SIGHUP."""
     import asyncio  # here: quick commands import this module, but not asyncio
     import signal
 

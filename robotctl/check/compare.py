@@ -69,7 +69,7 @@ def without_retired_fields(entry: JournalEntry) -> JournalEntry:
 
 
 class Vocabulary:
-    """Finds unknown fields in entries. It parses entries that differ only in digits only once."""
+    """Finds unknown fields in entries. Of entries that differ only in digits, it parses one."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, bytes]] = set()

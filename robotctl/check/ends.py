@@ -273,7 +273,7 @@ class RecordingEnds:
         return before
 
     def check(self, events_before_snapshot: int) -> None:
-        """Check who wrote the journal, how it begins and ends, and the loss ledger.
+        """Check the writer, the begin and the end of the journal, and the loss ledger.
 
         The ledger is in the last file if the recording was closed. Gaps that are reported after
         this call do not excuse differences.

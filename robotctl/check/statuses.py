@@ -43,8 +43,8 @@ class _ModeSpan:
 class ShownModes:
     """Compares the mode in each status with the modes in the journal, from a snapshot on.
 
-    `wrong` counts the statuses whose mode the robot, according to the journal, did not have within
-    NEAR_NS of the status. Statuses near a change of the clock are not counted.
+    `wrong` counts the statuses whose mode is not in the journal within NEAR_NS of the status.
+    Statuses near a change of the clock are not counted.
     """
 
     def __init__(self, clock: ClockChanges) -> None:

@@ -135,7 +135,7 @@ class LazyGroup(TyperGroup):
                 )
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command of that name.
+        """Return the command `cmd_name`.
 
         If there is none, load all commands, so that typer can suggest one, and return None.
 

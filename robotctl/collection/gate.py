@@ -166,7 +166,7 @@ class GateReport:
         }
 
     def counts(self) -> dict[str, int]:
-        """Return how many recordings have each verdict."""
+        """Return the number of recordings by verdict."""
         found = Counter(each.verdict for each in self.results.values())
         return {verdict: found[verdict] for verdict in VERDICTS}
 

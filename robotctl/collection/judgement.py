@@ -240,7 +240,7 @@ class Judgement:
     - `says`: the first finding as a sentence, "" if nothing is wrong.
     - `cause`: the sentence `says` without its numbers.
     - `outcome`: the SHA-256 over all findings.
-    - `other`: what other parameters change, None if none were given.
+    - `other`: the changes that other parameters cause, None if none were given.
     """
 
     recording: str

@@ -44,7 +44,7 @@ NODES: Final = tuple(PREFIXES)
 
 
 def node_of(key: str) -> str:
-    """Return the name of the node that declares a key."""
+    """Return the name of the node that declares the parameter `key`."""
     return next(node for node, prefixes in PREFIXES.items() if key.startswith(prefixes))
 
 

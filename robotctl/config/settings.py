@@ -99,7 +99,7 @@ class DecisionParams:
 
 @dataclass(frozen=True, slots=True)
 class SocketParams:
-    """Who may give commands on the control socket, besides the socket's owner and root."""
+    """Clients that may give commands on the control socket, besides the socket's owner and root."""
 
     group: str = setting(
         "", "Unix group whose members may give every command (0660, 0750)", Change.START, group=True

@@ -76,7 +76,7 @@ subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may 
 
 
 class Driver:
-    """Drives a robot, and records."""
+    """Drives a robot and records its topics."""
 
     def __init__(self, host: Host, command: CommandType) -> None:
         """Create the kernel, the ROS nodes and the recorder, and connect them.

@@ -289,7 +289,7 @@ def _digest(content: bytes) -> str:
 def head_of(folder: Path) -> str:
     """Return the digest of the journal's newest file, "" if there is none or it cannot be read.
 
-    Recordings store this digest. By it a check finds lines that were changed or removed later.
+    Recordings store this digest, so that a check can find lines that were changed or removed later.
     """
     with suppress(OSError, IndexError):
         return digests(folder)[-1]

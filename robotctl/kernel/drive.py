@@ -135,7 +135,7 @@ _TURNED = Pose(0.0, 0.0, pi)
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How well the robot followed so far: sums and maxima over the odometry samples.
+    """The tracking quality so far: sums and maxima over the odometry samples.
 
     `error_m` is the distance of the last sample from the reference. A distance above the path's
     `reach_m` counts as inf: on a small path, no distance exceeds `tracking.max_error_m`. The error

@@ -65,7 +65,7 @@ def kernel_leaves() -> Mapping[str, Leaf]:
 
 
 def with_text(params: KernelParams, key: str, text: str) -> KernelParams:
-    """Return the parameters with `key` set to the value that the text means.
+    """Return `params` with the parameter `key` set to the value of `text`.
 
     Raises:
         ValueError: The value is not allowed.

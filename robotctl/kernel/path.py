@@ -121,7 +121,7 @@ class Arc:
         return self.start.compose(local)
 
     def curvature_at(self, length: float) -> float:
-        """Return the curvature, the same everywhere [1/m]; it is positive to the left."""
+        """Return the curvature [1/m]. It is the same everywhere, and positive to the left."""
         return self.side / self.radius
 
     def distance_to(self, point: Pose, guess: float) -> float:

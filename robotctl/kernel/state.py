@@ -127,7 +127,7 @@ UNKNOWN = Health()
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A motion that another node steers. It requested `twist` last, at `t_ns` (None: never)."""
+    """A motion that another node steers; its last request was `twist`, at `t_ns` (None: never)."""
 
     twist: Twist = ZERO
     t_ns: int | None = None
@@ -144,7 +144,7 @@ class Guarded:
 class State:
     """The whole memory of the kernel: state, parameters and events determine every later effect.
 
-    - `reason`: the reason for the last change of mode. `cause`: that of ERROR or EMERGENCY_STOP.
+    - `reason`: the reason for the last mode change. `cause`: the cause of ERROR or EMERGENCY_STOP.
     - `stop_reason`: the reason for which the robot ramps down.
     - `waiting`: the ids of the requests for IDLE that are answered at the end of the ramp.
     - `tick_t_ns`: the time of the last tick.
@@ -192,7 +192,7 @@ def level_of(raw: float, in_percent: bool) -> float:
 
 
 def full_level(scale: BatteryScale) -> float:
-    """Return the value that a gauge of this scale reports when the battery is full."""
+    """Return the value that a gauge with this `scale` reports when the battery is full."""
     return 100.0 if scale is BatteryScale.PERCENT else 1.0
 
 

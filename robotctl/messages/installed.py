@@ -78,7 +78,7 @@ class InstalledType(NamedTuple):
 
     @property
     def holds_bytes(self) -> bool:
-        """Whether it has an unbounded array of bytes, as images and point clouds do."""
+        """Whether the type has an unbounded array of bytes, as images and point clouds do."""
         return _BYTES.search(self.text) is not None
 
 

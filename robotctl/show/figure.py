@@ -44,7 +44,7 @@ class Axis:
         return (self.end - self.begin) / (self.high - self.low)
 
     def at(self, value: float) -> float:
-        """Return the pixel at which a value lies."""
+        """Return the pixel of `value` on this axis."""
         return self.begin + (value - self.low) * self.scale
 
     def ticks(self, at_most: int) -> list[float]:
@@ -154,7 +154,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A text at the height `y` [pixels]. `x` is its horizontal centre, or its end if `is_end`."""
+    """A text at the height `y` [pixels]. Its centre is at `x`, or, if `is_end`, its end."""
 
     text: str
     x: float

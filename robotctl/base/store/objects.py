@@ -114,7 +114,7 @@ class ObjectStore(Protocol):
         """Yield the objects below the folder `prefix`, at any depth, in no particular order."""
 
     def head(self, key: str) -> StoredObject:
-        """Return size, etag, time and stored hash of an object.
+        """Return size, etag, time and stored hash of the object `key`.
 
         Raises:
             NoSuchObject: There is no object with that key.
@@ -219,7 +219,7 @@ def without_hashes(key: str) -> str:
 
 
 def hash_in(key: str) -> str:
-    """Return the SHA256 in a key of the form RECORDING/SHA256/FILE, "" in any other."""
+    """Return the SHA256 in `key` if its form is RECORDING/SHA256/FILE, else ""."""
     found = _HASH_FOLDER.search(key)
     return "" if found is None else found[0].rstrip("/")
 

@@ -89,7 +89,7 @@ def revision_around(folder: Path) -> str:
 def revision(folder: Path) -> str:
     """Return the commit that is checked out in `folder`, "" if it is not a repository's root.
 
-    Reads git's files (gitrepository-layout(5)): the git command may take seconds or hang.
+    This reads git's files (gitrepository-layout(5)): the git command may take seconds or hang.
     """
     try:
         git = folder / ".git"

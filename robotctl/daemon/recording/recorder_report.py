@@ -93,7 +93,7 @@ class _Row(msgspec.Struct):
 
 
 def topic_rows(topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
-    """Return the list of topics in the status as JSON, a row for each name and type, sorted.
+    """Return the JSON list of topics in the status: a row for each name and type, sorted by both.
 
     A topic that is missing in `rates` has a rate of 0.
     """

@@ -73,7 +73,7 @@ CLIP_KINDS = tuple(kind for kind in EventKind if kind is not EventKind.DRIVE_END
 
 
 class Compression(Enum):
-    """How the recorder stores chunks; the values are those of `recording.compression`."""
+    """The recorder's compression of chunks; the values are those of `recording.compression`."""
 
     ZSTD = "zstd"
     LZ4 = "lz4"

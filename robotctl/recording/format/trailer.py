@@ -181,7 +181,7 @@ class Summary:
         self.end_ns = counted.message_end_time if counted else 0
 
     def state(self, data_end: int, data_crc: int, seal: bytes = b"") -> TrailerState:
-        """Return the current state; `data_end` is where the data ends, `data_crc` its checksum.
+        """Return the current state; the data ends at `data_end` and has the CRC `data_crc`.
 
         `seal` is the record of the newest link of the seal; this link covers all data.
         """

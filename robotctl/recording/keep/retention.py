@@ -67,7 +67,7 @@ _APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_N
 
 
 def note_removal(recordings: Path, path: Path, text: str) -> None:
-    """Note that `path` is about to be removed; `text` says why.
+    """Note that `path` is about to be removed; `text` is the reason.
 
     Raises:
         OSError: The note cannot be written.

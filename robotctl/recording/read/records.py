@@ -140,7 +140,7 @@ class InputFile:
             raise
 
     def refresh(self) -> None:
-        """Update the size of the file."""
+        """Read the present size of the file again, and set its limits by it."""
         self.size = self._source.size()
         self.stored_bytes = self._source.stored_bytes()
         self.limits = ReadLimits.of(self.stored_bytes)

@@ -117,7 +117,7 @@ class PackBuffer:
         return {channel: count // 2 for channel, count in counts.items()}
 
     def recycle(self) -> None:
-        """Empty the buffer. Only allowed after a take that returned all messages."""
+        """Empty the buffer. Call this only after a take that returned all messages."""
         self._taken = 0
         self.end = 0
         self.limit = self.size = len(self.data)

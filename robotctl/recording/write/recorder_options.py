@@ -77,7 +77,7 @@ class RateByTopic:
 
 
 def free_space(folder: Path) -> int:
-    """Return the bytes that this user may still write below `folder`.
+    """Return the number of bytes that this user may still write below `folder`.
 
     Raises:
         OSError: The folder cannot be examined.

@@ -223,7 +223,7 @@ class WriterThread:
         self._thread.start()
 
     def put(self, item: Queued) -> None:
-        """Queue an item. Never waits."""
+        """Queue an item without waiting."""
         self._queue.put(item)
         with suppress(RuntimeError):  # the thread is awake
             self._wake.release()

@@ -39,7 +39,7 @@ class LoopThread:
                 loop.call_soon(callback)
 
     def give_up(self) -> None:
-        """Run the waiting functions in the caller's thread, and run all later ones at once."""
+        """Run the waiting functions in the caller's thread. Later functions run at once."""
         with self._lock:
             self._given_up = True
             waiting, self._waiting = self._waiting, []

@@ -136,7 +136,7 @@ def gid_of(publisher: Publisher) -> bytes:
 
 
 def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
-    """Return the full name of the node, "" if unknown, by the gid of each publisher of `topic`."""
+    """Return by gid, for each publisher of `topic`, the full name of its node, "" if unknown."""
     return {each.gid: full_name(each) for each in publishers(node, topic)}
 
 

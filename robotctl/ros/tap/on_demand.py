@@ -28,7 +28,7 @@ MAX_TOPICS: Final = 5_000
 
 
 class TopicWatcher(Protocol):
-    """Receives what `OnDemandTap` finds out about the topics of the graph."""
+    """Receives the findings of `OnDemandTap` about the topics of the graph."""
 
     def appeared(self, topic: str, type_name: str, definition: str) -> None:
         """Add a topic that now has a publisher; `definition` is the ros2msg text of its type."""
