@@ -111,7 +111,7 @@ class AlreadyRunning(RobotctlError):
 
 
 class UnreadableFile(RobotctlError):
-    """Nothing, or not everything, can be read from a file."""
+    """A file cannot be read, or not completely."""
 
     exit_code = 6
     kind = "unreadable_file"

@@ -65,7 +65,7 @@ _TAKEN = (
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """A parameter from `-p [NODE:]KEY:=VALUE`; `node` "" means all nodes, `text` is YAML."""
+    """A parameter from `-p [NODE:]KEY:=VALUE`. A `node` "" stands for all nodes; `text` is YAML."""
 
     node: str
     key: str
@@ -74,7 +74,7 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class Remap:
-    """A remapping rule from `-r [NODE:]FROM:=TO`; `node` "" means all nodes."""
+    """A remapping rule from `-r [NODE:]FROM:=TO`; if `node` is "", it is for all nodes."""
 
     node: str
     source: str

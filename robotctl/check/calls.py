@@ -144,7 +144,7 @@ class Call:
 
     @property
     def was_refused_as_busy(self) -> bool:
-        """Whether the service refused the call because it had too many others in work."""
+        """Whether the service refused the call because too many calls waited for their reply."""
         answer = self.answer
         return (
             self.in_work > MANY_IN_WORK
@@ -276,7 +276,7 @@ class ServiceCheck:
             self._calls.append(call)
 
     def request(self, event: ModeRequested, seq: int, moments: Moments) -> None:
-        """Note the request `event` from the journal, where it is the entry number `seq`."""
+        """Note the request `event`, which is the journal's entry number `seq`."""
         if event.source == self._source and not self._is_full:
             asked = Asked(seq, event.requested, moments)
             self._open_requests[event.request_id] = asked

@@ -175,7 +175,7 @@ class Run:
             self.requests[event.request_id] = event
 
     def effect(self, effect: Effect, t_ns: int) -> None:
-        """Note a refusal or the end of a drive; without a known request, the duration is None."""
+        """Note a refusal or the end of a drive; its duration is None if its request is unknown."""
         if isinstance(effect, Reply) and not effect.ok and effect.request_id in self.requests:
             self.refused[effect.request_id] = effect.message
         elif isinstance(effect, DriveEnded):

@@ -101,7 +101,7 @@ class JournalFormat:
         self._vocabulary: Vocabulary | None = Vocabulary()
 
     def begin(self, entry: JournalEntry) -> None:
-        """Report if the recording names this version, but its first snapshot has other fields.
+        """Report a recording that names this version but whose first snapshot has other fields.
 
         Raises:
             UnreadableFile: The entry is not a snapshot of this version.

@@ -67,7 +67,7 @@ def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> 
 
 
 def simplified(points: Sequence[Point], tolerance_m: float) -> tuple[Point, ...]:
-    """Return the points without those within `tolerance_m` of the path through the points returned.
+    """Return some of the points: each one left out is within `tolerance_m` of the returned path.
 
     The algorithm is that of Douglas and Peucker (1973).
     """

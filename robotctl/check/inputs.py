@@ -77,7 +77,7 @@ class ShownValue(NamedTuple):
 
 
 class UnheardChange:
-    """Finds messages of one publisher that the journal lacks, although each should be an input."""
+    """Finds messages of one publisher that should be inputs in the journal, but are not there."""
 
     def __init__(self, repeat_ns: int) -> None:
         """`repeat_ns`: after this time [ns] an unchanged value becomes an input again."""
@@ -95,7 +95,7 @@ class UnheardChange:
         self._before_ns = self._unheard_ns = 0
 
     def message(self, shown: ShownValue) -> None:
-        """Store a message; the journal may still contain its input later."""
+        """Store a message; its input may appear in the journal later."""
         self._waiting.append(shown)
 
     def heard(self, sequence: int) -> None:
@@ -540,7 +540,7 @@ NAMES: Final = {
 
 
 class InputChecks:
-    """Compares the inputs in the journal with their recorded messages, for each input in use."""
+    """Compares the journal's inputs with the recorded messages, for each input that is in use."""
 
     def __init__(self, report: Report, topics: RobotTopics, stalls: RecordedStalls) -> None:
         """`stalls` collects the stalls of the control loop that the journal has."""

@@ -69,7 +69,7 @@ class RobotTopics:
     def told(self, key: str) -> tuple[str, bool]:
         """Return the full name of a topic or service, and whether the metadata has it under `key`.
 
-        Without metadata, the name is the last part of `key`, in the robot's namespace.
+        If not, the name is the last part of `key`, in the robot's namespace.
         """
         told = self.values.get(key)
         return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None

@@ -203,7 +203,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the stored result, None without one, or the problem of an unreadable recording.
+        """Return the stored result or None; for an unreadable recording, return its problem.
 
         Raises:
             Refused: The store cannot be read.

@@ -89,7 +89,7 @@ class Repeats:
                 yield record
 
     def end(self) -> Iterator[logging.LogRecord]:
-        """Yield the notes about lines that were left out of any burst, and forget all bursts."""
+        """Yield a note for each burst of which lines were left out, and forget all bursts."""
         for burst in self._bursts.values():
             yield from _note(burst)
         self._bursts.clear()

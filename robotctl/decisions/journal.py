@@ -157,7 +157,7 @@ def files_of(folder: Path) -> list[Path]:
 
 
 def kept_file(folder: Path) -> Path:
-    """Return the path of file 0, to which lines about sealed files move from a removed file."""
+    """Return the path of file 0, which keeps lines about sealed files when a file is removed."""
     return folder / _name(0)
 
 

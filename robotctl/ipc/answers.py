@@ -299,7 +299,7 @@ class Graph(TypedDict):
 class GraphEndpoint(TypedDict):
     """A publisher or a subscription; `node` is "" while its node is unknown.
 
-    `qos` has reliability, durability, history and depth: "unknown" or 0 if DDS announces none.
+    `qos` has reliability, durability, history and depth; a value unknown to DDS is "unknown" or 0.
     """
 
     node: str

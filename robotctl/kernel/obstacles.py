@@ -50,7 +50,7 @@ def distance_ahead(
     """Return the distance from the robot to the nearest obstacle in its path [m], inf if none.
 
     `sectors` are the nearest ranges by direction; an obstacle may be anywhere in its sector. Only
-    what is at most `reach_m` away along the path counts. A command of zero has a straight path.
+    obstacles at most `reach_m` away along the path count. A command of zero has a straight path.
     """
     nearest_m, side_m = inf, _side_m(command, params, reach_m)
     for x, y in _points(sectors, params, farthest_m(params, reach_m)):

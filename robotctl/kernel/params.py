@@ -73,7 +73,7 @@ class OdometryQos(Enum):
 
 
 class WhenIdle(Enum):
-    """What is sent in IDLE: ZEROS at each tick, or nothing after a second of zeros (SILENT)."""
+    """What is sent in IDLE: ZEROS at each tick, or SILENT: zeros for a second, then nothing."""
 
     ZEROS = "zeros"
     SILENT = "silent"

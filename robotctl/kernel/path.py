@@ -58,7 +58,7 @@ class Turn:
         return Pose(self.start.x, self.start.y, self.start.theta + self.side * length)
 
     def curvature_at(self, length: float) -> float:
-        """Return `side`: a curve's change of heading per metre is here counted per rad."""
+        """Return `side`: `length` is an angle here, and the heading changes by 1 rad per rad."""
         return self.side
 
     def distance_to(self, point: Pose, guess: float) -> float:
@@ -155,7 +155,7 @@ class FigureEight:
 
     @property
     def top_curvature(self) -> float:
-        """The largest curvature, at the ends of the two loops [1/m]."""
+        """The largest curvature [1/m], which is at the ends of the two loops."""
         return EIGHT_SWING_RAD * tau / self.length
 
     def pose_at(self, length: float) -> Pose:

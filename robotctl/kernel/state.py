@@ -93,7 +93,7 @@ class Health:
 
     - `odometry`: the last usable sample of the followed publisher.
     - `odometry_t_ns`: when the followed publisher's last usable and new sample was received.
-    - `odometry_stamp_ns`, `odometry_fault` ("": none): from the last sample, usable or not.
+    - `odometry_stamp_ns`, `odometry_fault`: from the last sample, usable or not; no fault is "".
     - `reported`: the faults that the daemon reported and has not cleared.
     - `battery_in_percent`: whether a full battery reports 100 instead of 1.
     - `inputs`: the last reading of each `SafetyInput`, in that order; () before all readings.

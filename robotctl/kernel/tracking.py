@@ -37,7 +37,7 @@ def allowed(command: Twist, limits: VelocityLimits) -> Twist:
 
 
 def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) -> Twist:
-    """Return the command nearest to `target` that the limits allow `dt_s` after `current`."""
+    """Return the command nearest to `target` that `limits` allow `dt_s` [s] after `current`."""
     linear = clamp(target.linear, limits.linear_mps)
     angular = clamp(target.angular, limits.angular_rps)
     return Twist(

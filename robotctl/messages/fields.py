@@ -25,7 +25,7 @@ class WrongValue(ValueError):
 
 
 class ValueKind(Enum):
-    """What the values at a path are."""
+    """The kind of the values at a FieldPath."""
 
     NUMBER = "number"
     """Numbers or truth values."""
@@ -134,7 +134,7 @@ def value_at(values: Mapping[str, Any], steps: Steps) -> Any:
 def leaves(definition: Definition, below: FieldPath | None = None) -> Iterator[FieldPath]:
     """Yield the leaves of a type, or of the field at the path `below`, in the order of definition.
 
-    A message without fields is a leaf, too, but it has no value and no column in a table.
+    A message without fields is a leaf, too, but has no value and no column in a table.
     """
     path = below or FieldPath((), Field("", definition.root))
     field, steps = path.field, path.steps

@@ -54,7 +54,7 @@ _new = tuple.__new__
 
 
 def sample_of(odometry: Odometry) -> Sample:
-    """Return pose, velocity and stamp of `odometry` as a flat tuple."""
+    """Return pose, velocity and stamp of `odometry` as a Sample, a flat tuple of numbers."""
     pose, velocity = odometry.pose, odometry.velocity
     linear, angular = velocity.linear, velocity.angular
     return _new(Sample, (pose.x, pose.y, pose.theta, linear, angular, odometry.stamp_ns))

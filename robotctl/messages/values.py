@@ -112,7 +112,7 @@ def _text_reader(field: Field) -> Callable[[CdrReader], str]:
 
 
 def encode(definition: Definition, values: Mapping[str, Any]) -> bytes:
-    """Return `values` as a serialized message; they must fit the definition, as from `filled`."""
+    """Return `values` as a serialized message; `filled` makes values that fit `definition`."""
     writer = CdrWriter()
     _write(definition, Field("", definition.root), values, writer)
     return bytes(writer.data)

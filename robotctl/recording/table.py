@@ -157,7 +157,7 @@ def write_json_lines(columns: Sequence[FieldPath], rows: Iterable[Row], stream: 
 
 
 def json_lines(columns: Sequence[FieldPath], rows: Iterable[Row]) -> Iterator[str]:
-    """Yield a JSON object for each row, with the column names as keys, as a line of ASCII.
+    """Yield each row as a line of ASCII: a JSON object with the column names as keys.
 
     Bytes become base64. NaN and infinity become the texts `NaN`, `Infinity` and `-Infinity`.
     """

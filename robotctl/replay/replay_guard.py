@@ -143,7 +143,7 @@ class ReplayGuard:
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
         """Return the routes that would command a robot and that the user did not name.
 
-        Return none if a name prefix is set. A route counts even if its topic has no subscriber yet.
+        The list is empty if a prefix was chosen. A route counts even if it has no subscriber yet.
         """
         if self.prefix:
             return []

@@ -206,7 +206,7 @@ class CommandVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Why the robot was stopped or refused something at `t_s`: rows of a label and a sentence."""
+    """The reasons for a stop or a refusal at `t_s`, as rows of a label and a sentence."""
 
     t_s: float
     what: str

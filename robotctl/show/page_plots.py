@@ -43,7 +43,7 @@ MAX_PLACES: Final = 1000
 
 @dataclass(frozen=True, slots=True)
 class TimePlot:
-    """A plot over time. `series` has for each line the values, the legend name and the style."""
+    """A plot over time. `series` has the values, the legend name and the style of each line."""
 
     title: str
     unit: str

@@ -142,7 +142,7 @@ class ThinnedPath:
         self._last: DrivenPlace | None = None
 
     def add(self, t_s: float, x: float, y: float) -> None:
-        """Add a position [m] if it `is_on_earth`, and far enough from the newest in `places`."""
+        """Add a position [m] if it `is_on_earth` and far enough from the newest in `places`."""
         if not is_on_earth(x, y):
             return
         self._last = DrivenPlace(t_s, x, y)

@@ -307,7 +307,7 @@ Taker = Callable[[Traces, float, bytes], None]
 def topic_takers(topics: Sequence[TopicInfo]) -> dict[tuple[str, str], Taker]:
     """Return the functions that add messages to traces, by topic name and type.
 
-    For odometry, commands and battery, one function each at most: the topic with the most messages.
+    There is at most one topic each for odometry, commands and battery: the one with most messages.
     """
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (
@@ -351,7 +351,7 @@ def _take_battery(traces: Traces, t_s: float, data: bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """The content of a recording that its report shows."""
+    """The part of a recording's content that its report shows."""
 
     info: RecordingInfo
     traces: Traces

@@ -412,7 +412,7 @@ def _code(text: str) -> str:
 
 
 def profile_keys(environment: Mapping[str, str]) -> S3Config:
-    """Return keys and region of the AWS profile that AWS_PROFILE names, else of the default one.
+    """Return keys and region of the AWS profile that AWS_PROFILE names, or of the default profile.
 
     The result is empty if `environment` already names credentials, or the profile has no keys.
     """

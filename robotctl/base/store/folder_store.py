@@ -94,7 +94,7 @@ class FolderStore:
             return True
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
-        """Store a file from parts of any length; replace a file with that name."""
+        """Store `parts` of any length as the file `key`; replace an existing file."""
         with self._told(key), self._filled(key, parts, stamp) as path:
             os.replace(path, self._path(key))
             with suppress(OSError):  # some network file systems cannot

@@ -296,7 +296,7 @@ def sync_units(
 
 
 def unit_path(robot: str, suffix: str = "", *, system: bool) -> Path:
-    """Return the path of a robot's unit.
+    """Return the path of a system or user unit of `robot`; `suffix` follows the robot's name.
 
     Raises:
         UsageError: The name is not allowed for a robot.

@@ -77,7 +77,7 @@ def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
 def write_picture(
     folder: Path, robot: str, reference: Path2D, driven: Path2D, drive: Mapping[str, Any]
 ) -> Path:
-    """Draw a drive's reference and driven path into PICTURE_FILE in `folder`; return the file.
+    """Draw a drive's reference and driven path into PICTURE_FILE in `folder`; return that path.
 
     Raises:
         OSError: The file cannot be written.

@@ -56,7 +56,7 @@ def read_waypoints(name: str, frame: Frame, robot: str) -> list[list[float]]:
     """Return the points of a path [m], rounded to 0.1 mm.
 
     `name` is a file with points, or a recording: its path, its name or `last`. A recording yields
-    the points of its last motion; `frame` says whether they are odometry or relative to its start.
+    its last motion: in the odometry frame, or relative to the motion's start, as `frame` says.
 
     Raises:
         UsageError: There is no such file.

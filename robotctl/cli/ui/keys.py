@@ -141,7 +141,7 @@ _SURROGATES_AND_ABOVE = 0xD800
 
 
 class KeyEvent(Enum):
-    """A change of a key's state. Some terminals report no releases, and repeats as presses."""
+    """A change of a key's state. Some terminals report repeats as presses, and no releases."""
 
     PRESSED = 1
     REPEATED = 2

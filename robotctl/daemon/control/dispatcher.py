@@ -109,7 +109,7 @@ class PendingRequests:
         return self._last_id
 
     def expect_reply_now(self, request_id: int) -> None:
-        """Expect a reply during the next dispatch, which the caller then gets from `reply_now`."""
+        """Expect a reply during the next dispatch; the caller then gets it from `reply_now`."""
         self._replies_now[request_id] = None
 
     def keep_now(self, reply: Reply) -> bool:

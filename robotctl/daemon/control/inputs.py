@@ -144,7 +144,7 @@ class Inputs:
             self._robot_report.drove_to(odometry.pose)
 
     def hears(self, kind: Callable[..., Event]) -> Callable[..., None]:
-        """Return a handler that gets an event's fields except the time, and dispatches an event."""
+        """Return a handler; it gets an event's fields except the time, and dispatches the event."""
         return lambda *values: self._control.dispatch(kind(time.monotonic_ns(), *values))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:

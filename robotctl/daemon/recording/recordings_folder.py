@@ -69,7 +69,7 @@ class DiskReserve:
             await asyncio.sleep(LOOK_S)
 
     def look(self, free_bytes: int, sizes: Mapping[str, int]) -> None:
-        """If `free_bytes` is low, stop the topic that grew most in `sizes`; if high, record all."""
+        """If `free_bytes` is low, stop the topic that grew most in `sizes`; if high, resume all."""
         self._free_bytes = free_bytes
         grown = {topic: size - self._sizes.get(topic, 0) for topic, size in sizes.items()}
         self._sizes = sizes

@@ -97,7 +97,7 @@ class Chunk:
 
     @property
     def stored_size(self) -> int:
-        """Bytes of the records as they will be stored."""
+        """The size of the records as they will be stored [bytes]."""
         return sum(map(len, self.parts))
 
 

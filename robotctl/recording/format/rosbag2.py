@@ -169,7 +169,7 @@ def topic_counts_in(text: str) -> dict[tuple[str, str], int]:
 
 
 def total_count_in(text: str) -> int:
-    """Return the total message count in the text of a `metadata.yaml`, 0 if there is none."""
+    """Return the total message count in the text of a `metadata.yaml`, 0 if the text has none."""
     found = _TOTAL_COUNT.search(text)
     return int(found[1]) if found else 0
 

@@ -50,9 +50,7 @@ from robotctl.recording.write.mcap_writer import McapFile
 
 
 def seal_of_repair(written: WrittenFile) -> Iterator[bytes]:
-    """Yield the seal records that a repair writes first: the file's newest link, then an unsigned
-    one of kind REPAIRED. Yield nothing for a file without a seal.
-    """
+    """Yield the newest link and an unsigned REPAIRED link for a repair, nothing without a seal."""
     if not written.seal:
         return
     try:

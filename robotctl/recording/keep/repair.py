@@ -234,7 +234,7 @@ def _failed(name: str, error: Exception) -> TidyNote:
 
 @dataclass(frozen=True, slots=True)
 class TidyJob:
-    """Which folder to tidy, how much to keep in it, and whether to repair the recordings kept."""
+    """Which folder to tidy, how much to keep in it, and whether to repair what is kept."""
 
     recordings: Path
     policy: RetentionPolicy

@@ -197,7 +197,7 @@ def enforce_retention(
 
 
 def remove_recording(folder: CatalogFolder) -> list[CatalogFile]:
-    """Remove the files and clips of a recording; return those removed. Blocks.
+    """Remove the files and clips of a recording, and return the removed paths. This call blocks.
 
     The recording must be neither live nor kept. The folder stays if it has other files.
 

@@ -45,9 +45,9 @@ _MAX_NAME_BYTES: Final = 32
 
 
 def unpack(compression: str, stored: bytes, size: int, *, torn: bool = False) -> bytes:
-    """Return the `stored` data of a chunk, decompressed, which should have `size` bytes.
+    """Decompress and return the `stored` data of a chunk; the result should have `size` bytes.
 
-    Of a `torn` chunk, which the end of the file cuts off, return what can be decompressed.
+    The end of the file cuts off a `torn` chunk: return the part that can be decompressed.
 
     Raises:
         Damaged: The data is corrupt, or the compression is not supported.
@@ -123,7 +123,7 @@ def read_chunk_head(file: InputFile, offset: int, length: int) -> ChunkHead:
 
 
 def stored_size_of(length: int, compression: str) -> int:
-    """Return how many bytes of data are in a chunk record of `length` bytes."""
+    """Return the size [bytes] of the stored data in a chunk record of `length` bytes."""
     return length - _BEFORE_NAME - len(compression.encode()) - 8
 
 

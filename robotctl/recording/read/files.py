@@ -189,7 +189,7 @@ class RemoteSource:
         self._reader = path.reader()
 
     def size(self) -> int:
-        """Return the size at the time of the look-up [bytes]."""
+        """Return the size [bytes] that the object had when it was looked up."""
         return self._size
 
     def stored_bytes(self) -> int:
@@ -254,7 +254,7 @@ def reason_of(error: OSError | ValueError) -> str:
 
 
 def metadata_of_folder(folder: Path) -> tuple[str, list[str]]:
-    """Return the text of `metadata.yaml` ("" without one), and a sentence if it cannot be read."""
+    """Return the text of `metadata.yaml` or "", and a list with a sentence if it cannot be read."""
     try:
         return read_metadata(folder), []
     except (OSError, ValueError) as error:

@@ -67,7 +67,7 @@ class OpenFile:
 
 
 class PlaceReader:
-    """Reader of one `Place` of a file, for the channels in `names` (topic and type by id).
+    """Reads one `Place` of a file; `names` has topic and type of each wanted channel, by its id.
 
     After `load`, `take` returns the messages with a log time in `window` (ns, both ends included)
     one by one. `contents` and `as_written` yield all messages in file order, without `load`.
@@ -271,7 +271,7 @@ class ReadableFile:
         self._on_progress = on_progress
 
     def channels(self) -> Sequence[tuple[Channel, Schema | None]]:
-        """Return each channel with its schema; the schema is None if it is missing."""
+        """Return pairs of channel and schema; a schema that the file lacks is None."""
         schemas, channels = self.index.schemas, self.index.channels.values()
         return [(each, schemas.get(each.schema_id)) for each in channels]
 

@@ -306,10 +306,10 @@ def read_whole_file(
 ) -> WholeFile:
     """Read every byte of an MCAP file, and check its seal.
 
-    `on_progress` gets bytes done and in total.
+    `on_progress` gets the bytes done and the bytes in total.
 
     Raises:
-        UnreadableFile: It is not an MCAP file, or the disk cannot read it.
+        UnreadableFile: The file is not an MCAP file, or the disk cannot read it.
     """
     try:
         with InputFile(path, on_progress) as file:

@@ -372,7 +372,7 @@ class BagWriter:
     def refresh_metadata(self) -> None:
         """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
 
-        Players rely on its list. Only the oldest file is checked: retention removes it first.
+        Players rely on the list. Only the oldest file is checked: retention removes it first.
         """
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:

@@ -66,7 +66,7 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the bytes of the indexes to `size`, and return their number; the buffer is full."""
+        """Add the index bytes to `size`, and return their number; the buffer must be full."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added

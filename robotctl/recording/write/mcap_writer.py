@@ -268,7 +268,7 @@ class McapFile:
         self.summary.add(Opcode.CHANNEL, data)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a named map of strings. Text that is not UTF-8 (from a file name, say) is escaped."""
+        """Add a named map of strings; bytes that are not UTF-8, as in a file name, are escaped."""
         plain = {_utf8(key): _utf8(value) for key, value in values.items()}
         data = record_bytes(Metadata(name=name, metadata=plain))
         offset = self._data_end + len(self._pending)

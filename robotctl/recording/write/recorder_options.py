@@ -59,7 +59,7 @@ class TopicPattern:
         self._match = re.compile(translate(text.removeprefix(TYPE_PREFIX))).match
 
     def matches(self, topic: str, type_name: str) -> bool:
-        """Return whether the pattern matches the topic's name, or its type."""
+        """Return whether a `type:` pattern matches `type_name`, or any other pattern `topic`."""
         return self._match(type_name if self._of_type else topic) is not None
 
 

@@ -141,7 +141,7 @@ class EventLoop(asyncio.SelectorEventLoop):
         super().__init__(self._calling)
 
     def watch(self, fd: int, callback: Callable[[], object]) -> None:
-        """Call `callback`, before asyncio's callbacks, in each turn in which `fd` is readable."""
+        """Call `callback` in each turn in which `fd` is readable, before asyncio's callbacks."""
         self._calling.watch(fd, partial(copy_context().run, callback))
 
     def unwatch(self, fd: int) -> None:

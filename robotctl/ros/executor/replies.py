@@ -89,7 +89,7 @@ class Replies:
             self._keep(_Waiting(gid, attempt, now_s + WAIT_S))
 
     def close(self) -> None:
-        """Drop the waiting responses; from now on, `send` makes one attempt at once."""
+        """Drop the waiting responses; from now on, `send` tries only once and does not wait."""
         self._closed = True
         self._waiting.clear()
         if self._timer is not None:

@@ -80,7 +80,7 @@ class Source(ABC):
         return True
 
     def run_callback(self, callback: Callable[[], Any]) -> bool:
-        """Run the callback, return True; if the group is busy, return False and `resume` later."""
+        """Run the callback and return True. Return False if its group is busy: `resume` follows."""
         if self._custom_group and not self.group.beginning_execution(self.entity):
             self.runtime.park(self.group, self)
             return False

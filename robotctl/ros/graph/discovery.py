@@ -231,7 +231,7 @@ class Discovery:
         self._since_s = time.monotonic()
 
     def close(self) -> None:
-        """Destroy the IntroductionReader, which is then no longer in the graph."""
+        """Destroy the IntroductionReader, which removes it from the graph."""
         self._introductions.close()
 
     def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:

@@ -92,7 +92,7 @@ class ModeService:
         return str(self._publisher.topic_name)
 
     def publish(self, mode: Mode, battery_level: float, is_connected: bool) -> None:
-        """Publish the status: `battery_level` 0 to 1 or NaN; `is_connected`: odometry is fresh."""
+        """Publish the status; `battery_level` is 0 to 1 or NaN. Fresh odometry means connected."""
         message = self._message
         message.mode = mode.value
         message.battery_level = battery_level

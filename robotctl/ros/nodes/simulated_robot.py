@@ -47,7 +47,7 @@ def odometry_topic(name: str) -> OwnTopic:
 
 
 def battery_topic(name: str) -> OwnTopic:
-    """Return the simulated robot's battery topic, with the name `name`."""
+    """Return the topic `name` on which the simulated robot publishes its battery level."""
     return OwnTopic(name, BatteryState, qos.SENSOR)
 
 

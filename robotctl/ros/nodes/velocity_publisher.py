@@ -85,7 +85,7 @@ class VelocityPublisher:
     def monitor(
         self, heard: Callable[[bytes], None], latency_s: float | None
     ) -> Callable[[], None]:
-        """Call `heard(gid)` for each command on the topic, of any publisher.
+        """Call `heard(gid)` for each command on the topic, from any publisher.
 
         Commands are collected for `latency_s` [s] or, if that is None, until the returned function
         is called, which handles them at once. The subscription is best effort, so that it receives
