@@ -28,7 +28,6 @@ from robotctl.check.topics import (
 )
 from robotctl.kernel.codec import Snapshot
 from robotctl.kernel.constants import COMMAND_TYPES, NS_PER_S, TWIST_STAMPED
-from robotctl.kernel.params import OdometryQos
 from robotctl.kernel.safety_inputs import REPEATS_PER_TIMEOUT, SafetyInput, SafetyInputParams, Use
 from robotctl.kernel.types import (
     BatteryReceived,
@@ -184,9 +183,7 @@ class Heard(NamedTuple):
 class InputPairs:
     """Compares the inputs of one topic with its messages, by number and value."""
 
-    def __init__(self, *, hears_all: bool) -> None:
-        """`hears_all` says that each message that the control loop receives becomes an input."""
-        self._hears_all = hears_all
+    def __init__(self) -> None:
         self.tolerance = 0.0
         """Tolerance for the angle of odometry [rad], which a C library may have rounded."""
 
@@ -256,11 +253,7 @@ class InputPairs:
     def message(self, message: Message, value: Any) -> None:
         """Store a message of the topic, and pair it with a journal entry of the same number."""
         number = message.sequence
-        if (
-            number <= self._newest
-            and message.publish_ns > self._sent_ns
-            and not (self._hears_all and self._paired)
-        ):
+        if number <= self._newest and message.publish_ns > self._sent_ns:
             self._has_others = True
         elif number <= self._newest:
             self.repeated += 1
@@ -392,7 +385,7 @@ class InputCheck:
         self._read = read
         self._is_always_heard = is_always_heard
         self._repeat_ns = repeat_ns
-        self._pairs = InputPairs(hears_all=is_always_heard)
+        self._pairs = InputPairs()
         self._unheard = UnheardChange(repeat_ns) if repeat_ns else None
         self._is_on = False
 
@@ -554,12 +547,8 @@ class InputChecks:
         if self._topics.values.get("parameter.guard") == str(True):
             wanted = topics.recorded("guard_topic", "cmd_vel_nav", *COMMAND_TYPES)
         decode = decode_twist_stamped if wanted.type_name == TWIST_STAMPED else decode_twist
-        # A reliable subscription does not hear publishers that offer best effort.
-        hears_all = topics.values.get("parameter.odometry.qos") != OdometryQos.RELIABLE.value
         self._checks: dict[object, InputCheck] = {
-            OdomReceived: InputCheck(
-                report, topics, "odometry", odometry, read_sample, is_always_heard=hears_all
-            ),
+            OdomReceived: InputCheck(report, topics, "odometry", odometry, read_sample),
             BatteryReceived: InputCheck(report, topics, "the battery", battery, read_battery_level),
             ScanReceived: InputCheck(report, topics, "the scan", scan, read_sectors),
             GuardedCommandReceived: InputCheck(

@@ -123,7 +123,9 @@ class StatusCheck:
         self._first = 0
         """The sequence number of the first status, 0 before there is one."""
 
-        self._newest = 0
+        self._newest = self._before = 0
+        """The highest numbers, in total and of the copies before the first snapshot."""
+
         self._absent: set[int] = set()
         """The missing sequence numbers between the first and the newest status."""
 
@@ -151,6 +153,8 @@ class StatusCheck:
         If the recorder lags, a copy may precede the status itself, and others before that status.
         Its log time, that of the file's beginning, is then mostly before its publish time.
         """
+        if not self.is_on:
+            self._before = max(message.sequence, self._before)
         if not self.is_on or message.log_ns < message.publish_ns:
             return
         if self._repeats.observe(message):
@@ -218,7 +222,8 @@ class StatusCheck:
             return
         report, modes = self._report, self._modes
         modes.end(is_closed=ending.is_closed)
-        gaps = len(self._absent) + (self._first - 1 if self._first and ending.has_begin else 0)
+        gaps = sum(each > self._before for each in self._absent)
+        gaps += self._first - 1 if self._first and ending.has_begin else 0
         is_mixed = self._unordered or self._foreign  # so the numbers are of two nodes
         own = {*self._absent, self._first - 1, self._newest + 1}
         if self._first and (self._foreign or not own.issuperset(self._misnamed)):

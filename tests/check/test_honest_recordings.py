@@ -6,6 +6,7 @@ the robot's topics, with numbers of their own. A new file begins with the last l
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -205,7 +206,7 @@ def test_the_rate_of_an_input_that_was_heard_once_is_unknown(tmp_path: Path) -> 
 
 def test_the_first_messages_of_a_second_publisher_may_lack() -> None:
     """Others of their numbers are of the first publisher, or of one that was never heard."""
-    pairs = InputPairs(hears_all=True)
+    pairs = InputPairs()
 
     def send(number: int, sent_ns: int, level: float) -> None:
         pairs.message(Message(BATTERY, "", b"", sent_ns, sent_ns, number), level)
@@ -304,6 +305,31 @@ def test_the_zeros_of_another_node_may_have_our_numbers(tmp_path: Path) -> None:
     made.messages[place:place] = [replace(zero, sequence=number + n) for n in (2, 1, 0)]
     report = check_edited(tmp_path, made.unclosed())
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+def test_numbers_that_a_file_began_beyond_are_no_gap(tmp_path: Path) -> None:
+    """Another node begins to publish statuses of our name in a file that is checked alone."""
+    first, second = halves(heard_drive(6.0, snapshots_s=(0.0, 3.0)))
+    place = next(i for i, each in enumerate(second.messages) if each.topic == STATUS)
+    own = second.messages[place]
+    second.messages.insert(place, replace(own, data=status(2, 0.5), sequence=1))
+    last = [each for each in first.messages if each.topic == STATUS][-1]
+    second.messages.insert(0, replace(last, log_ns=second.messages[0].log_ns))
+    second.counts = Counter(each.topic for each in second.messages)
+    folder = write_files(tmp_path / "run", second)
+    report = check_recording((folder / "run_0.mcap").rename(folder / "run_1.mcap"))
+    assert "robot statuses are missing" not in str((report.violations, report.missing))
+
+
+def test_an_input_may_be_heard_in_the_file_after_its_message(tmp_path: Path) -> None:
+    """The last message of a file may be the first of another publisher."""
+    first, _ = halves(heard_drive(4.0, snapshots_s=(0.0, 2.0)))
+    place = [i for i, each in enumerate(first.messages) if each.topic == BATTERY][-1]
+    last = first.messages[place]
+    later = replace(last, sequence=1, log_ns=last.log_ns + 1, publish_ns=last.publish_ns + 1)
+    first.messages.insert(place + 1, later)
+    (file,) = write_files(tmp_path / "run", first.unclosed()).glob("*.mcap")
+    assert check_recording(file).verdict is Verdict.SAME
 
 
 def test_a_status_may_be_newer_than_the_journal_of_a_killed_daemon(tmp_path: Path) -> None:
