@@ -70,12 +70,12 @@ def ok(check: str, text: str) -> Finding:
 
 
 def warning(check: str, text: str, cure: str) -> Finding:
-    """Return the finding that `check` found a risk; `text` says which, `cure` what to do."""
+    """Return a warning of `check`; `text` says what may fail, `cure` says what to do."""
     return Finding(check, Level.WARNING, text, cure)
 
 
 def fault(check: str, text: str, cure: str) -> Finding:
-    """Return the finding that `check` failed; `text` says why, `cure` what to do."""
+    """Return a fault found by `check`; `text` says what is wrong, `cure` says what to do."""
     return Finding(check, Level.FAULT, text, cure)
 
 

@@ -254,7 +254,7 @@ def start(
     with_stdin: bool = False,
     log: Path | None = None,
 ) -> Child:
-    """Start `command` with two more arguments: `option` and the descriptor's number for reports.
+    """Start `command` with two more arguments: `option` and the number of the report descriptor.
 
     With a `log`, the child writes stdout and stderr to that file, runs in a new session, outlives
     this process and inherits no other descriptors. Without a `log`, it writes both to our stderr,

@@ -75,7 +75,7 @@ class RobotTopics:
         return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None
 
     def recorded(self, parameter: str, default: str, *types: str) -> InputTopic:
-        """Return the topic named by `parameter`; it has no `name` unless recorded in `types`."""
+        """Return the topic named by `parameter`; `name` is None unless recorded as of `types`."""
         name = self.named_by(parameter, default)
         if self.types.get(name) in types:
             return InputTopic(name, self.types[name])

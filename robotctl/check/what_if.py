@@ -87,7 +87,7 @@ def changed(config: Config, settings: Settings) -> Config:
 def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
     """Return `config` with the recorded parameters of the simulated robot, and the rejected keys.
 
-    A recorded key is rejected if it is unknown, or its value not allowed, in this version.
+    A recorded key is rejected if this version does not know it or does not allow its value.
     """
     unknown = []
     for name, value in info.metadata.get(INFO_RECORD, {}).items():

@@ -196,7 +196,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return "VERDICT: CAUSE"; it is "changed: CAUSE" if only the tried parameters differ."""
+    """Return "VERDICT: CAUSE", or "changed: CAUSE" if only a run with other parameters differs."""
     if result.verdict not in FAILED and result.differs:
         if result.other is not None and result.other["failure"]:
             return f"{CHANGED}: the kernel fails with other parameters"

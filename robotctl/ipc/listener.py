@@ -193,8 +193,8 @@ class Listener:
         """Wait for the next client and return its socket.
 
         If the process has no free descriptor, the reserved one is closed. If none is reserved,
-        `make_room` is called; it closes a connection and returns True, or returns False. Both are
-        repeated until a descriptor is free.
+        `make_room` is called, which returns whether it closed a connection. This is repeated until
+        a descriptor is free.
         """
         self._keep_spare()
         while True:

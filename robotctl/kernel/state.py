@@ -180,7 +180,7 @@ FULLEST_LEVEL = 1.05
 
 
 def counts_in_percent(raw: float, before: bool, scale: BatteryScale) -> bool:
-    """Return whether the level `raw` is in percent; `before` is the result for the last level."""
+    """Return whether the level `raw` is in percent; `before` is the previous result."""
     if scale is BatteryScale.AUTO:
         return before or FULLEST_LEVEL < raw <= 100.0 * FULLEST_LEVEL
     return scale is BatteryScale.PERCENT

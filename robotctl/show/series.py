@@ -33,7 +33,7 @@ Sample = tuple[float, float]
 
 
 class SeriesColumn(NamedTuple):
-    """One column of a plot: its first, least, largest and last value; times of first and last."""
+    """One column of a plot: least and largest value, and first and last value with their times."""
 
     begin_s: float
     first: float

@@ -40,7 +40,7 @@ DEFAULT_PORT: Final = 8765
 
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens on `port`; for None, on DEFAULT_PORT or else any free port.
+    """Return a socket that listens on `port`; None stands for DEFAULT_PORT or else any free port.
 
     Raises:
         Refused: The host has no address, or the socket cannot listen on it.

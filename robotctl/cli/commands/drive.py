@@ -98,7 +98,7 @@ def drive_and_wait(
     """Request a drive, wait until it ends, and return the daemon's answer.
 
     The answer gets the key `picture`: the path of the drive's picture, or None. On a terminal, the
-    drive is shown live, unless `as_json`. If it was stopped, its result is printed before an error.
+    drive is shown live, unless `as_json`. If it was stopped, its result is printed.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the drive; the robot stands.

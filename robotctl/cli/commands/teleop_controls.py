@@ -318,7 +318,7 @@ class Holding:
         return self._number != 0
 
     def want(self, velocity: tuple[float, float]) -> bool:
-        """Request a motion at `velocity` [m/s, rad/s]; return False if refused or if it ended."""
+        """Request motion at `velocity` [m/s, rad/s]; return False if it is refused or has ended."""
         now_s = time.monotonic()
         if self.silence_lets_go and now_s - self._sent_s >= MAX_SILENCE_S:
             self._number = 0

@@ -167,7 +167,7 @@ END_S: Final = 10.0
 def live_target(robot: str) -> LiveTarget:
     """Return the process, namespace and ROS domain of a robot's running daemon.
 
-    If the environment sets no discovery range, the range of the daemon is set there.
+    If no discovery range is set in the environment, set it to the range of the daemon.
 
     Raises:
         NoDaemon: No daemon runs.

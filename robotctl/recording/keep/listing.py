@@ -210,7 +210,7 @@ def list_recordings(
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Return, by name, all recordings and folders that this user may not list; skip links.
+    """Return the recordings, and the folders that may not be listed, ordered by name; skip links.
 
     Raises:
         OSError: `folder` cannot be listed.

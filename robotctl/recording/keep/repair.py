@@ -68,7 +68,7 @@ _UNFINISHED = ".repair"
 
 
 def repair(recordings: Path) -> Iterator[TidyNote]:
-    """Repair the recordings below `recordings` that no process is writing; yield notes about it.
+    """Repair recordings below `recordings` that no process is writing; yield a note of each repair.
 
     Blocks, because files that were not closed are read completely. A file that was not closed but
     is complete is marked as checked, so that it is read only once. A torn file is replaced by its
@@ -242,7 +242,7 @@ class TidyJob:
 
 
 def tidy(job: TidyJob) -> Iterator[TidyNote]:
-    """Report noted removals, remove old recordings, and repair the others; yield notes about it.
+    """Report noted removals, remove old files, repair the rest; yield a note of each action.
 
     Blocks, also while another process tidies the folder. Open recordings are not changed.
     """

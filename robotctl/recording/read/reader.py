@@ -48,7 +48,7 @@ _HASH_KEY = "topic_type_hash"
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """The facts of a topic in a recording; `rate_hz` is the mean over the whole recording."""
+    """A topic in a recording; `rate_hz` is the mean over the whole recording."""
 
     name: str
     type_name: str

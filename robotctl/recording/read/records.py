@@ -86,7 +86,7 @@ def parse(kind: type[_Record], data: bytes) -> _Record:
 
 
 class Record(NamedTuple):
-    """The place of a record in a file. `end` is the offset after it, perhaps after the file."""
+    """The place of a record; `end` is the offset after it, perhaps beyond the end of the file."""
 
     opcode: int
     offset: int
@@ -194,7 +194,7 @@ class InputFile:
         """Return the content of a record other than a chunk or an attachment.
 
         Raises:
-            Damaged: The file ends within the record, or that claims over MAX_RECORD_BYTES.
+            Damaged: The file ends within the record, or the record is over MAX_RECORD_BYTES.
         """
         if record.length > MAX_RECORD_BYTES:
             raise Damaged(f"a record at byte {record.offset} claims {record.length} bytes")
@@ -286,7 +286,7 @@ ZEROS: Final = "it is not an MCAP file: it begins with zeros"
 
 
 def read_header(file: InputFile) -> tuple[Header, int]:
-    """Return the header, LOST_HEADER if the file begins with zeros, and the offset after it.
+    """Return the header and the offset after it; a header of zeros is returned as LOST_HEADER.
 
     Raises:
         Damaged: The file is empty, or no MCAP file.

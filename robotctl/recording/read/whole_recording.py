@@ -56,7 +56,7 @@ class Chain:
 
 
 def check_chain(files: Iterable[WholeFile]) -> Chain:
-    """Compare each sealed file with its predecessor in the chain; return what was found."""
+    """Compare each sealed file with its predecessor in the chain; return the findings."""
     chain = Chain()
     by_root: dict[str, list[tuple[Opening, WholeFile]]] = {}
     for file in files:

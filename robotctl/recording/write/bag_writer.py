@@ -432,7 +432,7 @@ def begin_bag(
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None] | None,
 ) -> BagWriter:
-    """Create `folder` and return a BagWriter for it, made with all parameters.
+    """Create `folder`, and return a BagWriter that has these parameters.
 
     Raises:
         Refused: The folder cannot be written; if it was created, it is removed again.
