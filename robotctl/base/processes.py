@@ -208,7 +208,7 @@ class Child:
             os.kill(self.pid, number)
 
     def wait(self, seconds: float) -> int | None:
-        """Wait up to `seconds`; return the exit code (-N: signal N), or None if still running."""
+        """Wait up to `seconds`; return the exit code, -N after signal N, None if still running."""
         until = time.monotonic() + seconds
         while self._exit_code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)

@@ -56,7 +56,7 @@ class Supervisor:
         self._dispatch = dispatch
 
     async def run(self, name: str, work: Work) -> None:
-        """Run a task until it returns or is cancelled; after a failure, run it again."""
+        """Run the task `work` until it returns or is cancelled; after a failure, run it again."""
         while True:
             try:
                 return await work()

@@ -33,7 +33,7 @@ stop, the distance from the reference to the lead, and the speed of the referenc
 class Progress:
     """How far the reference has come: `laps` complete laps, then `segment` segments, then `length`.
 
-    Lengths are in m (in a turn: rad; with a held velocity: s), speeds in the same unit per second.
+    Lengths are in m; in a turn they are in rad, with a held velocity in s. Speeds are per second.
 
     - `speed`, `accel`: the speed and the acceleration of the reference.
     - `ahead`, `lead_speed`: how far the lead is ahead of the reference; the speed of the lead.

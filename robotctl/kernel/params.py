@@ -82,9 +82,9 @@ class WhenIdle(Enum):
 class Foreign(Enum):
     """What happens if other nodes publish velocity commands.
 
-    ERROR: a publisher, even a silent one, prevents the start of a motion and ends a motion. WARN:
-    there is only a warning. YIELD: other nodes may drive while the mode is IDLE; their
-    commands prevent the start of a motion and end a motion, a silent publisher does not.
+    ERROR: any publisher, even a silent one, prevents the start of a motion and ends a motion.
+    WARN: there is only a warning. YIELD: other nodes may drive while the mode is IDLE. Their
+    commands prevent the start of a motion and end a motion; a silent publisher does neither.
     """
 
     ERROR = "error"

@@ -51,9 +51,9 @@ class OdometrySources:
 class CommandTopic:
     """Other nodes on the velocity command topic.
 
-    `foreign_t_ns` and `foreign_by` are the time and the publisher of another node's last command,
-    None and "" if there was none. `listeners` counts the subscriptions with the type that robotctl
-    sends (`type_name`), None before discovery; `other_types` are the other subscriptions' types.
+    `foreign_t_ns` is the time of another node's last command or None, `foreign_by` its publisher
+    or "". `listeners` counts the subscriptions with `type_name`, the type that robotctl sends, and
+    is None before discovery. `other_types` are the types of all other subscriptions.
     """
 
     foreign_t_ns: int | None = None

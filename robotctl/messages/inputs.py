@@ -179,7 +179,7 @@ def frame_bytes(data: bytes) -> bytes:
 
 
 def frame_id_of(data: bytes) -> str:
-    """Return the frame_id of a message that begins with a header, or "" if it is big endian."""
+    """Return the frame_id of a message that begins with a header, "" if it is not little endian."""
     if data[:2] != LITTLE_ENDIAN:
         return ""
     return frame_bytes(data)[_LENGTH.size :].removesuffix(b"\0").decode(errors="replace")

@@ -58,8 +58,8 @@ class Session:
     def resolve(self, topic: str, role: str = "") -> str:
         """Return the full name of a topic or service after remapping; `topic` may be relative.
 
-        A remap may be for one node only: `role` is the default name of the node of the topic,
-        and need not exist yet. Introspection topics are remapped as their service.
+        A remap may be for one node only: `role` is the default name of the topic's node, which need
+        not exist yet. Introspection topics are remapped as their service.
         """
         service = topic.removesuffix(SERVICE_EVENTS)
         name = self._remapped(service, self._node_names.get(role, role))

@@ -99,7 +99,7 @@ class Trailer(NamedTuple):
 
     @property
     def before_footer(self) -> list[Buffer]:
-        """All parts except footer and magic, in file order."""
+        """All parts except the footer and the magic bytes, in file order."""
         return [self.data_end, *self.summary, self.offsets]
 
     def behind(self, position: int) -> list[Buffer]:

@@ -334,7 +334,7 @@ def draw_command(job: Job, *, quiet: bool) -> None:
 
 @contextmanager
 def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
-    """Open the recording of `job`; yield the recorded robot and the time span to play."""
+    """Open the recording of `job`; yield its robot over time, and the time span to play."""
     # Here, because only a drawn replay needs these: the import would delay the player by 50 ms.
     from robotctl.recording import Recording
     from robotctl.replay.recorded_robot import RecordedRobot
