@@ -371,6 +371,8 @@ class Viewer(asyncio.Protocol):
 
     def _shake_hands(self, request: Request) -> None:
         headers, websocket = request.headers, self._websocket
+        if websocket.eof_sent:  # the bytes after the request are no frame
+            return
         try:
             refusal = self._admission.refusal(
                 request.path, headers.get_all("Host"), headers.get_all("Origin")

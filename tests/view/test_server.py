@@ -196,9 +196,16 @@ async def test_a_handshake_that_does_not_end_is_ended(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    "sent", [b"\x16\x03\x01\x02\x00\x01", b"GET / HTTP/1.1\r\n\r\n", b"x" * 20_000, b"\r\n\r\n"]
+    "sent",
+    [
+        *(b"\x16\x03\x01\x02\x00\x01", b"GET / HTTP/1.1\r\n\r\n", b"x" * 20_000, b"\r\n\r\n"),
+        handshake_request("127.0.0.1", None, "wrong") + b"no frame",
+        handshake_request("127.0.0.1", None, TOKEN) + b"no frame",
+    ],
 )
-async def test_what_is_no_handshake_is_answered_or_ended(sent: bytes) -> None:
+async def test_what_is_no_handshake_is_answered_or_ended(
+    sent: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
     async with served() as view:
         reader, writer = await asyncio.open_connection("127.0.0.1", view.port)
         writer.write(sent)
@@ -208,6 +215,7 @@ async def test_what_is_no_handshake_is_answered_or_ended(sent: bytes) -> None:
         writer.close()
         async with view_client(view.url) as client:
             await client.until(lambda: client.op("serverInfo"))
+    assert not caplog.messages
 
 
 async def test_a_connection_above_the_limit_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
