@@ -537,12 +537,12 @@ class CommandCheck:
     def _tell_end(self, ending: Ending, counts: CommandCounts) -> None:
         is_closed = ending.is_closed and not ending.invariants.foreign
         count = counts.old + (counts.recent if is_closed else 0)
-        if count <= max(ending.lost - counts.missing - counts.before_first, 0):
-            return
-        if not counts.paired and is_closed and counts.old:
-            ending.accuse(f"none of {count} decided commands is recorded")
-        else:
-            self._report.miss(f"the last {count} decided commands are missing")
+        is_known = self._topic or ending.is_own  # a robot that was observed may name it otherwise
+        if is_known and count > max(ending.lost - counts.missing - counts.before_first, 0):
+            if not counts.paired and is_closed and counts.old:
+                ending.accuse(f"none of {count} decided commands is recorded")
+            else:
+                self._report.miss(f"the last {count} decided commands are missing")
 
 
 def _without_decision(count: int, example: str) -> str:

@@ -470,7 +470,8 @@ class InputCheck:
         text = f"{count} messages of {self._name} that the control loop received are not recorded"
         if pairs.lacking_example:
             text += f", the first is of {pairs.lacking_example}"
-        if count > ending.lost and self._is_left_out:
+        # A robot that was observed may give the topic another name.
+        if count > ending.lost and (self._is_left_out or (not self.topic and not ending.is_own)):
             report.notes.append(f"the topic of {self._name} was not recorded, as configured")
         else:
             ending.lack(count, text)

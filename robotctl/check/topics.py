@@ -140,7 +140,11 @@ class RepeatedLatched:
         if len(self._seen) > MAX_REPEATED:
             del self._seen[next(iter(self._seen))]
         # A new file may repeat a message that waits to be written: it is recorded after its repeat.
-        if is_again and message.publish_ns <= before_ns <= message.log_ns:
+        if (
+            is_again
+            and message.publish_ns <= before_ns <= message.log_ns
+            and (before_ns == message.log_ns or (before_ns, 1) not in self._repeats)
+        ):
             self._repeats.add((message.log_ns, count))
         return is_again
 

@@ -43,10 +43,10 @@ from robotctl.recording.read.messages import Message
 from robotctl.recording.read.whole_recording import verify_recording
 from robotctl.testing.drives import BEGIN_NS, drive, record
 from robotctl.testing.hearing import BATTERY, ODOMETRY, TOPICS, WANTED
-from tests.check.test_recording_ends import halves, write_files
+from tests.check.test_recording_ends import OBSERVED, halves, write_files
 from tests.support.edited_recordings import Contents
 from tests.support.heard_drives import COMMANDS, ESTOP, STATUS, heard_drive, status
-from tests.tampering.edits import check_edited, metadata
+from tests.tampering.edits import check_edited, metadata, renamed
 
 BUTTON = TOPICS[SafetyInput.ESTOP]
 
@@ -242,6 +242,26 @@ def test_a_clip_may_end_before_a_status_that_a_file_began_with(tmp_path: Path) -
     second.messages[0:0] = [replace(newest, log_ns=second.messages[0].log_ns)]
     source = write_files(tmp_path / "run", first, second.unclosed())
     report = checked_clip(tmp_path, source, 1.0, 4.5)
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+def test_the_copies_at_one_beginning_of_a_file_count_once(tmp_path: Path) -> None:
+    """They are of two nodes, and one of a status that waits to be written."""
+    made = heard_drive(6.0, snapshots_s=(0.0, 3.0))
+    foreign, *others = [each for each in made.messages if each.topic == STATUS]
+    foreign = replace(foreign, data=status(2, 0.5, b"other"), sequence=1)
+    made.messages.insert(made.messages.index(others[0]), foreign)
+    for own in others[1:3]:
+        place = made.messages.index(own)
+        copies = [replace(each, log_ns=own.log_ns) for each in (foreign, own)]
+        made.messages[place : place + 1] = [*copies, replace(own, log_ns=own.log_ns + 1_000)]
+    report = check_edited(tmp_path, made.unclosed())
+    assert (report.verdict, report.missing) == (Verdict.SAME, []), report
+
+
+@pytest.mark.parametrize("topic", [ODOMETRY, COMMANDS])
+def test_an_observed_robot_may_give_a_topic_another_name(tmp_path: Path, topic: str) -> None:
+    report = check_edited(tmp_path, heard_drive(5.0), *OBSERVED, renamed(topic))
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
 
 
