@@ -36,6 +36,10 @@ def test_json_tells_what_was_written(folder: Path, cli: Cli) -> None:
     assert about["missing"] == []
 
 
+def test_the_help_promises_no_page_of_a_url(cli: Cli) -> None:
+    assert "URL" not in cli("report", "--help").out
+
+
 def test_a_damaged_recording_is_shown_as_far_as_it_can_be_read(folder: Path, cli: Cli) -> None:
     (file,) = folder.glob("*.mcap")
     data = file.read_bytes()

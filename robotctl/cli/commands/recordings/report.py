@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from robotctl.base.errors import RecoveredWithLoss, Refused, UnreadableFile, UsageError
-from robotctl.cli.options import Json, RecordingFile, new_app
+from robotctl.cli.options import Json, new_app
 from robotctl.cli.targets.recordings import (
     RecordedBy,
     RecordingsFolder,
@@ -43,15 +43,18 @@ app = new_app()
 
 SUFFIX: Final = ".html"
 
+_LocalFile = Annotated[
+    str,
+    typer.Argument(metavar="FILE", help="An MCAP file, a recording's folder or name, or `last`."),
+]
+
 
 @app.command()
 def report(
-    file: RecordingFile,
+    file: _LocalFile,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", metavar="HTML", help="[default: beside the recording; of a URL, here]"
-        ),
+        typer.Option("-o", "--output", metavar="HTML", help="[default: beside the recording]"),
     ] = None,
     folder: RecordingsFolder = None,
     robot: RecordedBy = None,
@@ -224,12 +227,7 @@ OTHER_LINES: Final = 2
 
 @app.command()
 def plot(
-    file: Annotated[
-        str,
-        typer.Argument(
-            metavar="FILE", help="An MCAP file, a recording's folder or name, or `last`."
-        ),
-    ],
+    file: _LocalFile,
     topic: Annotated[str, typer.Argument(metavar="TOPIC", help="The topic, such as /odom.")],
     fields: Annotated[
         list[str] | None,
