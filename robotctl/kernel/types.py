@@ -50,7 +50,7 @@ def changed(value: T, **changes: Any) -> T:
     """
     fields = value.__dict__ | changes
     # A value that msgspec read from a journal has no entries for fields at their default.
-    assert len(fields) <= len(vars(type(value))["__dataclass_fields__"]), "not a field's name"
+    assert len(fields) <= len(vars(type(value))["__dataclass_fields__"]), changes
     copy = object.__new__(type(value))
     object.__setattr__(copy, "__dict__", fields)
     return copy
