@@ -92,6 +92,8 @@ def test_paths_do_not_depend_on_the_working_folder(cli: Cli, home: Path) -> None
     assert f"--config {home}/cwd/robot.yaml --recordings={home}/cwd/mine\n" in shown
     shown = cli("boot", "sync", "show", "--", "usb", "--recordings", "mine").out
     assert f"robotctl sync {home}/cwd/usb --recordings {home}/cwd/mine --robot robot\n" in shown
+    shown = cli("boot", "sync", "show", "--", "mine", "usb").out
+    assert f"robotctl sync {home}/cwd/mine {home}/cwd/usb --robot robot\n" in shown
 
 
 def test_the_daemons_unit_is_enabled_and_removed(cli: Cli, units: Path, systemctl: Path) -> None:

@@ -259,7 +259,7 @@ def daemon_unit(robot: str, words: list[str], *, system: bool, user: str) -> Uni
         settings += [f"RuntimeDirectory={runtime.name}", "RuntimeDirectoryMode=0711"]
     from robotctl.cli.commands.start import app as start
 
-    options = _command_words("start", start, words)
+    options, _ = _command_words("start", start, words)
     command = ["start", "--foreground", "--robot", robot, *options]
     path = unit_path(robot, system=system)
     target = "multi-user.target" if system else "default.target"
@@ -281,10 +281,12 @@ def sync_units(
     """
     from robotctl.cli.commands.recordings.sync import app as copies
 
-    command = ["sync", *_command_words("sync", copies, words), "--robot", robot]
+    arguments, given = _command_words("sync", copies, words)
+    command = ["sync", *arguments, "--robot", robot]
     credentials = _state_of(user, system=system) / robot / "sync.env"
     settings = [_COPIES, f"EnvironmentFile=-{quoted(str(credentials))}"]
-    service = _service(robot, command, settings, system=system, user=user)
+    has_from = len(given["places"]) > 1
+    service = _service(robot, command, settings, system=system, user=user, has_from=has_from)
     # The first run comes after two minutes: until then, a starting daemon is not slowed down.
     timer = f"[Timer]\nOnActiveSec=120\nOnUnitInactiveSec={every_min}min\n"
     about = f"the recordings of robot {robot} are copied"
@@ -328,10 +330,21 @@ def _text(about: str, section: str, wanted_by: str = "") -> str:
     return f"[Unit]\nDescription=robotctl, {about}\n\n{section}{install}"
 
 
-def _service(robot: str, words: list[str], settings: list[str], *, system: bool, user: str) -> str:
-    """Return the [Service] section that runs robotctl with `words`, and with --recordings."""
+def _service(
+    robot: str,
+    words: list[str],
+    settings: list[str],
+    *,
+    system: bool,
+    user: str,
+    has_from: bool = False,
+) -> str:
+    """Return the [Service] section that runs robotctl with `words`, and with --recordings.
+
+    `has_from` tells that `words` name a folder of recordings already, the FROM of `sync`.
+    """
     command = [str(Path(sys.executable).with_name("robotctl")), *words]
-    if not any(word.partition("=")[0] == "--recordings" for word in words):
+    if not (has_from or any(word.partition("=")[0] == "--recordings" for word in words)):
         folder = _state_of(user, system=system) / "recordings" / robot
         command += ["--recordings", str(folder)]
     lines = [f"ExecStart={' '.join(map(quoted, command))}", *settings, "UMask=0077"]
@@ -355,8 +368,12 @@ def _state_of(user: str, *, system: bool) -> Path:
         raise UsageError(f"there is no user {user!r}", "name one with --user") from None
 
 
-def _command_words(command: str, app: typer.Typer, words: list[str]) -> list[str]:
-    """Return the arguments of a command; make paths absolute, as a unit has another working folder.
+def _command_words(
+    command: str, app: typer.Typer, words: list[str]
+) -> tuple[list[str], dict[str, Any]]:
+    """Return the arguments of a command, and the values that it parses from them.
+
+    Paths in the arguments are made absolute, as a unit has another working folder.
 
     Raises:
         UsageError: An argument is not allowed in a unit. If the command would refuse the
@@ -388,7 +405,7 @@ def _command_words(command: str, app: typer.Typer, words: list[str]) -> list[str
         name, sign, value = word.rpartition("=")
         return f"{name}{sign}{Path(value).absolute()}" if value in paths else word
 
-    return [absolute(word) for word in words]
+    return [absolute(word) for word in words], given
 
 
 def _install(units: list[Unit], *, now: bool) -> tuple[str, list[str]]:
