@@ -59,6 +59,14 @@ def test_what_is_not_copied_is_exit_code_6(cli: Cli, own_recording: Path, tmp_pa
     assert "nothing was copied now" in cli("sync", str(tmp_path / "usb")).out
 
 
+def test_what_would_do_nothing_is_refused(cli: Cli, own_recording: Path, tmp_path: Path) -> None:
+    packed = tmp_path / "run.mcap.zstd"
+    packed.touch()
+    cli("sync", str(packed), str(tmp_path / "usb")).failed(2, f"{packed} is no .mcap file")
+    ran = cli("sync", str(own_recording), str(tmp_path / "usb"), "--max-age-days", "0")
+    ran.failed(2, f"nothing can be removed from {own_recording}: give a folder of recordings")
+
+
 def test_what_comes_back_from_a_bucket_is_as_it_was_with_its_time(
     cli: Cli, own_recording: Path, s3_endpoint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -99,6 +99,7 @@ def sync(
     from robotctl.base.store.objects import is_url
     from robotctl.collection.sync import Pruned, copy_recordings, prune
     from robotctl.kernel.constants import DAY_S, NS_PER_S
+    from robotctl.recording.format.rosbag2 import METADATA_FILE
     from robotctl.recording.keep.retention import RetentionPolicy
 
     source, target = _ends(places, folder, robot)
@@ -107,7 +108,8 @@ def sync(
         None if max_age_days is None else max_age_days * DAY_S,
     )
     removes = policy != RetentionPolicy(None, None)
-    if removes and (is_url(source) or not Path(source).is_dir()):
+    here = Path(source)
+    if removes and (is_url(source) or not here.is_dir() or (here / METADATA_FILE).is_file()):
         raise UsageError(f"nothing can be removed from {source}", "give a folder of recordings")
     store = open_store(target)
     pruned = Pruned()
@@ -148,6 +150,8 @@ def _ends(places: list[str], folder: Path | None, robot: str) -> tuple[str, str]
     target = places[-1]
     if not is_url(source) and not Path(source).exists():
         raise UsageError(f"{source}: no such folder")
+    if not is_url(source) and Path(source).is_file() and not source.endswith(".mcap"):
+        raise UsageError(f"{source} is no .mcap file", "give one, or a folder of recordings")
     if not is_url(target):
         _check_folder(Path(target), source)
     elif parse_url(target).scheme in ("https", "http"):
