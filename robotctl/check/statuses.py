@@ -41,10 +41,9 @@ class _ModeSpan:
 
 
 class ShownModes:
-    """Compares the mode in each status with the modes in the journal, from a snapshot on.
+    """Counts the statuses with a mode that the journal does not have within NEAR_NS of the status.
 
-    `wrong` counts the statuses whose mode is not in the journal within NEAR_NS of the status.
-    Statuses near a change of the clock are not counted.
+    The count is `wrong`. Statuses near a change of the clock are not counted.
     """
 
     def __init__(self, clock: ClockChanges) -> None:
@@ -53,12 +52,12 @@ class ShownModes:
         self._clock = clock
         self._spans: deque[_ModeSpan] = deque(maxlen=MAX_WAITING)
         self._statuses: deque[tuple[int, int, int]] = deque(maxlen=MAX_WAITING)
-        """Mode and steady time of each status, and steady time of the event read before it."""
+        """Mode and steady time of each status, and steady time of the event before it."""
 
         self._t_ns = self._offset_ns = self._begin_ns = 0
 
     def snapshot(self, mode: Mode, t_ns: int, wall_ns: int) -> None:
-        """Note the mode in a snapshot. Its time is `t_ns` (steady), `wall_ns` since the epoch."""
+        """Begin or continue at a snapshot; `t_ns` is steady, `wall_ns` since the epoch."""
         self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
         if not self._spans:
             self._spans.append(_ModeSpan(mode.value, t_ns))
@@ -66,7 +65,7 @@ class ShownModes:
         self._judge(t_ns - EXCUSES_NS)
 
     def status(self, mode: int, publish_ns: int) -> None:
-        """Keep a status, sent at `publish_ns` since the epoch, until it can be compared."""
+        """Keep a status for the comparison; `publish_ns` is nanoseconds since the epoch."""
         steady_ns = publish_ns - self._offset_ns
         if self._spans and steady_ns >= self._begin_ns:
             self._statuses.append((mode, steady_ns, self._t_ns))
@@ -76,14 +75,14 @@ class ShownModes:
         self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
 
     def change(self, mode: Mode, moments: Moments) -> None:
-        """Note a new mode; a status may show the old mode or the new one until the step ends."""
+        """Add a new mode; during its step, a status may show the old or the new mode."""
         t_ns, begin_ns, end_ns = moments
         if self._spans:
             self._spans[-1].end_ns = t_ns + max(end_ns - begin_ns, 0)
             self._spans.append(_ModeSpan(mode.value, t_ns))
 
     def stop(self) -> None:
-        """Stop comparing until the next snapshot, because journal entries are missing."""
+        """Stop comparing until the next snapshot."""
         self._spans.clear()
         self._statuses.clear()
 
@@ -110,7 +109,7 @@ class ShownModes:
 
 
 class StatusCheck:
-    """Compares statuses with the modes in the journal; begins at a snapshot that has a `Proof`."""
+    """Compares statuses with the journal, from the first snapshot with a `Proof` on."""
 
     def __init__(self, report: Report, topics: RobotTopics, clock: ClockChanges) -> None:
         self._name, self._is_told = topics.told("topic.robot_status")
@@ -121,7 +120,7 @@ class StatusCheck:
         self._report = report
         self._modes = ShownModes(clock)
         self._first = 0
-        """The sequence number of the first status, 0 before there is one."""
+        """The sequence number of the first status, or 0 before the first status."""
 
         self._newest = self._before = 0
         """The highest numbers, in total and of the copies before the first snapshot."""
@@ -144,17 +143,14 @@ class StatusCheck:
         self._begin_ns = 0
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler by topic name; empty if the topic is not recorded."""
+        """Return the message handler by topic name; {} if the topic is not recorded."""
         return {} if self.topic is None else {self.topic: self._message}
 
     def _message(self, message: Message) -> None:
-        """Check a status; skip the copies of earlier ones, with which each file and clip begins.
-
-        If the recorder lags, a copy may precede the status itself, and others before that status.
-        Its log time, that of the file's beginning, is then mostly before its publish time.
-        """
+        """Check a status; skip the copies at the beginning of a file or clip."""
         if not self.is_on:
             self._before = max(message.sequence, self._before)
+        # A recorder that lags may write a copy first: it then has the log time of the file's begin.
         if not self.is_on or message.log_ns < message.publish_ns:
             return
         if self._repeats.observe(message):
@@ -179,7 +175,7 @@ class StatusCheck:
             self._foreign += 1
 
     def _is_own(self, number: int) -> bool:
-        """Note a status number; return False for an older one: another node sent that status."""
+        """Add a sequence number; return False if another node sent the status."""
         if not self._first:
             self._first = self._newest = number
         elif number > self._newest:
@@ -193,7 +189,7 @@ class StatusCheck:
         return True
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Start or continue the comparison at a snapshot; `t_ns` is steady, `log_ns` epoch time."""
+        """Begin or continue the comparison; `t_ns` is steady, `log_ns` since the epoch."""
         if snapshot.proof is None:
             return
         self._repeats.snapshot()
@@ -202,18 +198,18 @@ class StatusCheck:
         self._modes.snapshot(snapshot.state.mode, t_ns, log_ns)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Note the time of an event, and the new mode if the step changed the mode."""
+        """Add the time of an event, and its change of the mode."""
         self._modes.step(event.t_ns, moments[1])
         for effect in effects:
             if isinstance(effect, ModeChanged):
                 self._modes.change(effect.mode, moments)
 
     def stop(self) -> None:
-        """Stop comparing until the next snapshot, because journal entries are missing."""
+        """Stop comparing until the next snapshot."""
         self._modes.stop()
 
     def end(self, ending_of: EndingOf, moment: JournalEnd) -> None:
-        """Report the differences; `ending_of` and `moment` say how and when the journal ends."""
+        """Report the differences; call this at the end of the journal."""
         ending = ending_of(self.topic)
         if not self.is_on or not ending.is_own or ending.has_gaps:
             return

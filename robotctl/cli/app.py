@@ -1,7 +1,4 @@
-"""The console script: runs one command line and maps every error to an exit code.
-
-Imports are inside the `try`, because Ctrl-C may interrupt them: they take half of a quick command.
-"""
+"""The console script: runs one command line and maps every error to an exit code."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ def run(arguments: list[str]) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a path may contain characters that the terminal lacks
             stream.reconfigure(errors="backslashreplace")
-    try:
+    try:  # around the imports, too: they are half of a quick command, and Ctrl-C may interrupt them
         if arguments[:1] and arguments[0].startswith("--"):
             arguments = behind_the_command(arguments)
         from robotctl.cli import quick
@@ -71,8 +68,7 @@ ENDS_OF_OPTIONS = ("--", "--ros-args")
 def behind_the_command(arguments: list[str]) -> list[str]:
     """Move --robot and --json, if they stand before the command, to the end of its options.
 
-    `--robot r2 topic list` becomes `topic list --robot r2`. If any other option stands before the
-    command, nothing is moved.
+    `--robot r2 topic list` becomes `topic list --robot r2`. Before another option, nothing moves.
     """
     at = 0
     while at < len(arguments):

@@ -64,18 +64,18 @@ RecordingFile = Annotated[
 
 
 def new_app(group: type[TyperGroup] = TyperGroup) -> typer.Typer:
-    """Return a typer app without rich, which would add 60 ms to every help screen."""
+    """Return a typer app without rich."""
     return typer.Typer(
         cls=group,
         add_completion=False,
-        rich_markup_mode=None,
+        rich_markup_mode=None,  # rich would add 60 ms to every help screen
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 80},
     )
 
 
 def new_group(app: typer.Typer, name: str) -> typer.Typer:
-    """Return a new group of commands, which is the command `name` of `app`."""
+    """Return a new group of commands with the name `name` in `app`."""
     group = new_app()
     app.add_typer(group, name=name)
     return group
@@ -90,7 +90,7 @@ ProfileName = Annotated[
 
 
 def given_options(context: typer.Context) -> dict[str, str]:
-    """Return the parameters that the user typed, with their spelling: `{"rate": "--rate"}`."""
+    """Return the spelling of each parameter on the command line: `{"rate": "--rate"}`."""
     given = {}
     for parameter in context.command.params:
         name = parameter.name or ""

@@ -1,9 +1,7 @@
 """The commands that run without an option parser.
 
-An emergency stop, or a script that polls the status ten times a second, should not wait 40 ms for
-the import of typer. `match` accepts plain spellings only; everything else, such as `--help` or a
-misspelling, goes to typer. The modules of the same names in `commands` declare these commands for
-typer, with their help, and call the same functions.
+`match` accepts plain spellings only; typer handles all else. The modules in `commands` declare
+these commands for typer, with their help, and call the same functions.
 """
 
 from __future__ import annotations
@@ -26,15 +24,16 @@ from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 if TYPE_CHECKING:
     from robotctl.ipc.answers import MessageAnswer, ModeAnswer
 
+# Without typer, whose import takes 40 ms: an emergency stop should not wait for it.
 
 VALID_MODES = f"{', '.join(MODES)}, or 0 to {max(MODES.values())}"
 
 STOP_DEADLINE_S = 30.0
-"""How long the daemon may take to ramp down, write the rest of the recording and sync it."""
+"""The timeout for the daemon to ramp down, write the rest of the recording and sync it [s]."""
 
 
 def status(robot: str, as_json: bool) -> None:
-    """Print the daemon's status, as a screen of text or one line of JSON."""
+    """Print the daemon's status as a screen of text or one line of JSON."""
     answer = call(robot, STATUS)
     print(json_text(answer) if as_json else "\n".join(status_screen_lines(answer)))
 
@@ -117,12 +116,12 @@ def reset(robot: str, as_json: bool, reason: str = "") -> None:
 
 
 def stop(robot: str, as_json: bool) -> None:
-    """End the daemon, and return when its process has ended."""
+    """End the daemon, and wait for the end of its process."""
     _show(stop_daemon(robot), as_json)
 
 
 def stop_daemon(robot: str) -> MessageAnswer:
-    """Ask the daemon to end, and return its answer when its process has ended.
+    """End the daemon, and return its answer after the end of its process.
 
     Raises:
         RobotctlError: The process is still running after STOP_DEADLINE_S.
@@ -167,7 +166,7 @@ _WITHOUT_ARGUMENT: dict[str, Callable[[str, bool], None]] = {
 
 
 def match(arguments: list[str]) -> Callable[[], None] | None:
-    """Return the call that the arguments spell, or None if typer has to parse them."""
+    """Return the call that the arguments spell, or None if typer must parse them."""
     robot = os.environ.get(ROBOT_VARIABLE) or DEFAULT_ROBOT
     as_json = False
     reason: str | None = None

@@ -115,7 +115,7 @@ def other_words() -> dict[str, str]:
 
 
 class LazyGroup(TyperGroup):
-    """A group that imports only the command that is called."""
+    """A group that imports only the called command."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return every command, in the order of the help."""
@@ -135,9 +135,7 @@ class LazyGroup(TyperGroup):
                 )
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command `cmd_name`.
-
-        If there is none, load all commands, so that typer can suggest one, and return None.
+        """Return the command `cmd_name`, or None if there is none.
 
         Raises:
             UsageError: The name is retired or in `other_words`; the error names the right command.
@@ -147,6 +145,7 @@ class LazyGroup(TyperGroup):
                 raise UsageError(f"{cmd_name!r} is retired", retired.COMMANDS[cmd_name])
             if cure := other_words().get(cmd_name):
                 raise UsageError(f"No such command {cmd_name!r}", cure)
+            # Load all commands: typer suggests one of them.
             self.commands = {name: self.get_command(ctx, name) for name in COMMANDS}
             return None
         module = importlib.import_module(f"robotctl.cli.commands.{module_of(cmd_name)}")
@@ -185,7 +184,7 @@ def dispatch(arguments: list[str]) -> None:
     """Parse and run one command line.
 
     Raises:
-        UsageError: typer could not parse it; the error names the help, or what replaces an option.
+        UsageError: typer could not parse the command line.
     """
     command = typer.main.get_command(app)
     arguments, ros_words = ros_arguments.split(arguments)

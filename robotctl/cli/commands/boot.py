@@ -60,12 +60,12 @@ PASSED_ON: Final = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "RMW_IMPLEMENTATION",
 )
-"""Variables that the daemon's unit gets from this shell; a user unit also gets STATE_VARIABLE."""
+"""Variables of this shell for the daemon's unit; a user unit also gets STATE_VARIABLE."""
 
 NOT_IN_A_UNIT: Final = ("--drive", "--foreground", "--dry-run", "--json", "--robot")
 
 CALL_S: Final = 60.0
-"""The time limit of a systemctl call [s]: longer than a daemon needs to become ready, or to end."""
+"""The time limit of a systemctl call [s]."""
 
 _DAEMON: Final = """\
 Type=notify
@@ -246,8 +246,6 @@ def remove_sync(
 def daemon_unit(robot: str, words: list[str], *, system: bool, user: str) -> Unit:
     """Return the unit that runs `robotctl start` for `robot` with the arguments `words`.
 
-    A restart never moves the robot: the daemon begins in IDLE, or in a latched EMERGENCY_STOP.
-
     Raises:
         UsageError: There is no such user, or an argument is not allowed in a unit.
     """
@@ -271,10 +269,9 @@ def daemon_unit(robot: str, words: list[str], *, system: bool, user: str) -> Uni
 def sync_units(
     robot: str, words: list[str], *, system: bool, user: str, every_min: int
 ) -> tuple[Unit, Unit]:
-    """Return a timer, and the service that it starts: `robotctl sync` with the arguments `words`.
+    """Return a timer, and its service, which runs `robotctl sync` with the arguments `words`.
 
-    A run starts `every_min` minutes after the previous one has ended. Credentials come from the
-    file sync.env, because other users may be able to read a unit.
+    A run starts `every_min` minutes after the end of the previous one.
 
     Raises:
         UsageError: There is no such user, or an argument is not allowed in a unit.
@@ -283,6 +280,7 @@ def sync_units(
 
     arguments, given = _command_words("sync", copies, words)
     command = ["sync", *arguments, "--robot", robot]
+    # In a file, because other users may be able to read a unit.
     credentials = _state_of(user, system=system) / robot / "sync.env"
     settings = [_COPIES, f"EnvironmentFile=-{quoted(str(credentials))}"]
     has_from = len(given["places"]) > 1
@@ -355,7 +353,7 @@ def _service(
 
 
 def _state_of(user: str, *, system: bool) -> Path:
-    """Return the state folder (logs, recordings) of the user under which the unit runs.
+    """Return the state folder (logs, recordings) of the unit's user.
 
     Raises:
         UsageError: There is no such user.
@@ -371,13 +369,10 @@ def _state_of(user: str, *, system: bool) -> Path:
 def _command_words(
     command: str, app: typer.Typer, words: list[str]
 ) -> tuple[list[str], dict[str, Any]]:
-    """Return the arguments of a command, and the values that it parses from them.
-
-    Paths in the arguments are made absolute, as a unit has another working folder.
+    """Return the arguments of a command, with absolute paths, and their parsed values.
 
     Raises:
-        UsageError: An argument is not allowed in a unit. If the command would refuse the
-            arguments, typer raises an error of its own.
+        UsageError: An argument is not allowed in a unit.
     """
     from robotctl.base.store.objects import is_url
 
@@ -409,7 +404,7 @@ def _command_words(
 
 
 def _install(units: list[Unit], *, now: bool) -> tuple[str, list[str]]:
-    """Write units; enable the last one, and if `now`, start it, too.
+    """Write units, enable the last one, and start it if `now`.
 
     Return systemd's error ("" for none) and the lines to print.
 
@@ -437,7 +432,7 @@ def _install(units: list[Unit], *, now: bool) -> tuple[str, list[str]]:
 def _remove(paths: list[Path], installer: str, *, system: bool) -> tuple[str, list[str]]:
     """Stop and remove units; return systemd's error ("" for none) and the lines to print.
 
-    `installer` is the command that writes such units, for the advice.
+    `installer` is the command in the error's advice.
 
     Raises:
         Refused: There is no unit.
@@ -459,7 +454,7 @@ def _remove(paths: list[Path], installer: str, *, system: bool) -> tuple[str, li
 
 
 def _systemctl(*words: str, system: bool) -> str:
-    """Run systemctl; return why it failed, or "" if it succeeded."""
+    """Run systemctl; return the reason of a failure, or ""."""
     command: Iterable[str] = ("systemctl", *(() if system else ("--user",)), *words)
     try:
         done = subprocess.run(list(command), capture_output=True, text=True, timeout=CALL_S)

@@ -46,30 +46,28 @@ from robotctl.kernel.params import KernelParams
 COMMAND = "commission"
 
 DRIVEN_S = 2.0
-"""How long the velocity is commanded in each motion [s]."""
+"""The duration of the velocity in each motion [s]."""
 
 TURN_RPS = 0.3
 """The rate of the turn [rad/s], unless limits.angular_rps is lower."""
 
 QUIET_S = 2.0
-"""How long nothing is commanded at the end of the second motion [s]."""
+"""The time without a command at the end of the second motion [s]."""
 
 STANDING_S = 1.5
-"""How long the robot stands before and after each motion [s]."""
+"""The time at rest before and after each motion [s]."""
 
 RESERVE = 1.5
-"""The free room that the operator is asked for, as a multiple of planned distance and angle."""
+"""The free room in the question to the operator, as a multiple of planned distance and angle."""
 
 _LATEST_S = DRIVEN_S + 10.0
-"""A motion that waits for a zero command ends by itself after this time [s] if none comes."""
+"""The limit on a motion that waits for a zero command [s]."""
 
 _SPLIT_DEADLINE_S = 15.0
 
 
 def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
-    """Drive forward twice and turn left once; return the file in which the motions are recorded.
-
-    The first and the last motion are stopped by a zero command, the second by silence.
+    """Drive forward twice and turn left once; return the file with the recorded motions.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the motions; the robot stands.
@@ -100,7 +98,7 @@ def drive_motions(robot: str, speed_mps: float, rate_rps: float) -> Path:
 
 
 def _stop_by_zero(robot: str, params: dict[str, Any], reason: str) -> None:
-    """Drive for DRIVEN_S; request ERROR, so that the kernel commands zero at once; then reset."""
+    """Drive for DRIVEN_S, stop by a request for ERROR, then reset."""
     _drive(robot, params | {"for_s": _LATEST_S, "reason": reason}, DRIVEN_S)
     stop = asked_by(COMMAND, reason)
     call(robot, SET_MODE, {"mode": Mode.ERROR.value, **stop})
@@ -113,7 +111,7 @@ def _drive(robot: str, params: dict[str, Any], at_most_s: float = inf) -> None:
 
     Raises:
         Interrupted: Ctrl-C ended the motion.
-        RobotctlError: It was refused, or ended by a fault.
+        RobotctlError: The motion was refused, or ended by a fault.
     """
     driving: Background[DriveAnswer] = Background(
         partial(call, robot, DRIVE_VELOCITY, params, deadline_s=None)
@@ -208,9 +206,9 @@ def _confirm(speed_mps: float, rate_rps: float) -> None:
 def _report(
     robot: str, file: Path, settings: Mapping[str, Any], present: KernelParams, out: Path | None
 ) -> tuple[dict[str, object], Iterator[str], UsageError | None]:
-    """Measure, and write the proposed configuration to `out`, if given.
+    """Measure, write the proposed configuration to `out`, if given, and return the report.
 
-    Return the report as an object and as lines, and the error if `out` could not be written.
+    The report is an object and lines, with the error if `out` could not be written.
     """
     from robotctl.commission import (
         file_lines,
@@ -248,7 +246,7 @@ def _report(
 
 
 def _write(out: Path, text: str) -> UsageError | None:
-    """Write a new file completely or not at all; return why that failed, None if it did not."""
+    """Write a new file completely or not at all; return the error, or None."""
     created = False
     try:
         with out.open("x", encoding="utf-8") as file:

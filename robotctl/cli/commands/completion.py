@@ -46,6 +46,7 @@ BEGIN, END = "# robotctl completion: begin\n", "# robotctl completion: end\n"
 VALUES: Final = MappingProxyType({"MODE": tuple(MODES), "PATTERN": MOTIONS})
 """The possible values of an argument, by its metavar."""
 
+# The names `path` and `words` are reserved in zsh.
 _BASH: Final = """\
 _robotctl() {
   local word command="" offered=""
@@ -61,7 +62,7 @@ _robotctl() {
 }
 complete -o default -F _robotctl robotctl
 """
-"""The script for bash and zsh; it avoids the names `path` and `words`, which zsh reserves."""
+"""The script for bash and zsh."""
 
 _ZSH: Final = """\
 (( $+functions[compdef] )) || { autoload -Uz compinit && compinit }
@@ -152,7 +153,7 @@ def script(shell: Shell, root: Any) -> str:
 
 
 def with_script(text: str, script: str) -> str:
-    """Return `text`, a shell's start file, with `script` in it; an earlier script is replaced."""
+    """Return the start file `text` with `script` in it; an earlier script is replaced."""
     block = f"{BEGIN}{script}{END}"
     head, begin, rest = text.partition(BEGIN)
     _, end, tail = rest.partition(END)
@@ -163,9 +164,9 @@ def with_script(text: str, script: str) -> str:
 
 
 def _table(command: Any, path: str = "") -> Iterator[tuple[str, list[str]]]:
-    """Yield the command and all its subcommands, each with the words that may follow it.
+    """Yield the path of the command and of each subcommand, with the words that may follow.
 
-    A command is given by its path, such as ` recordings rm`; that of `robotctl` itself is "".
+    A path is such as ` recordings rm`; that of `robotctl` is "".
     """
     below: Mapping[str, Any] = {}
     if hasattr(command, "list_commands"):
@@ -181,7 +182,7 @@ def _table(command: Any, path: str = "") -> Iterator[tuple[str, list[str]]]:
 
 
 def _values(parameter: Any) -> list[str]:
-    """Return the fixed values of an argument, [] without any; a shell then offers files."""
+    """Return the fixed values of an argument, or [] for none."""
     if parameter.param_type_name != "argument":
         return []
     choices = getattr(parameter.type, "choices", ()) or VALUES.get(parameter.metavar or "", ())

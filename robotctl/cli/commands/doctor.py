@@ -74,7 +74,7 @@ def doctor(
 
 
 def _lines(removed: list[str], found: list[Finding]) -> Iterator[str]:
-    """Yield a line for each finding, and a second line if it has a cure."""
+    """Yield a line for each finding, and one for each cure."""
     width = max((len(each.check) for each in found), default=0)
     order = {Level.OK: 0, Level.WARNING: 1, Level.FAULT: 2}
     if removed:
@@ -88,7 +88,7 @@ def _lines(removed: list[str], found: list[Finding]) -> Iterator[str]:
 def diagnose(
     robot: str, config: Path | None, domain_id: int | None, *, clean: bool
 ) -> tuple[list[str], list[Finding]]:
-    """If `clean`, remove stale files; run all checks; return the removed files and the findings.
+    """Run all checks; return the removed files, stale ones if `clean`, and the findings.
 
     Raises:
         UsageError: The name of the robot, the configuration or the domain is wrong.
@@ -118,14 +118,14 @@ def _check_socket(robot: str) -> Iterator[Finding]:
 
 
 def _robots() -> Iterator[str]:
-    """Yield the robots that have a socket; skip sockets whose name is not allowed for a robot."""
+    """Yield the robots with a socket, without names that no robot may have."""
     for name in robots.names():
         with suppress(UsageError):
             yield check_robot_name(name)
 
 
 def _daemons() -> list[RobotDaemon]:
-    """Return all daemons; a silent daemon is asked twice, as the machine may be busy."""
+    """Return all daemons; a silent daemon is asked twice."""
     found = robots.find(_robots())
     answered = [each for each in found if not each.problem]
     return [*answered, *robots.find(each.robot for each in found if each.problem)]
@@ -137,7 +137,7 @@ def _hangs(daemon: RobotDaemon) -> Finding:
 
 
 def _disk(status: Status | None) -> Iterator[Finding]:
-    """Check the disk of the folder in which the daemon records, or in which it would record."""
+    """Check the disk of the folder for recordings."""
     file = status["recorder"]["file"] if status else ""
     if file:
         yield from checks.check_disk(Path(file).parent.parent, is_used=True)
@@ -153,7 +153,7 @@ def _killed() -> Iterator[Finding]:
 
 
 def dead_robots() -> list[str]:
-    """Return the robots with a socket that a killed daemon left: no daemon owns their lock."""
+    """Return the robots with a socket of a killed daemon."""
     found = []
     for robot in robots.names():
         with suppress(UsageError):  # not a name of a robot
@@ -163,7 +163,7 @@ def dead_robots() -> list[str]:
 
 
 def _remove_sockets() -> list[Path]:
-    """Remove and return the sockets of killed daemons; own each robot's lock while removing."""
+    """Remove and return the sockets of killed daemons."""
     from robotctl.ipc.listener import remove_stale
 
     removed = []
@@ -229,7 +229,7 @@ def _ros(robot: str, config: Config, domain_id: int | None) -> Iterator[Finding]
 
 
 def _check_daemons_range(daemons: str) -> Iterator[Finding]:
-    """Warn if the daemon's discovery range is not this shell's; use the daemon's from now on."""
+    """Use the daemon's discovery range from now on, and warn if this shell has another."""
     if daemons != discovery_range():
         yield warning(
             "discovery",

@@ -1,7 +1,4 @@
-"""drive: drive a pattern, a velocity, or a path from a file, a recording or a topic.
-
-`drive_paths` reads the points of a path.
-"""
+"""drive: drive a pattern, a velocity, or a path from a file, a recording or a topic."""
 
 from __future__ import annotations
 
@@ -59,8 +56,8 @@ from robotctl.show.png import write_path_png
 def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
     """Draw the last drive into the folder of its recording, and return the path of the picture.
 
-    `drive` is the daemon's answer about the drive. An earlier picture is replaced. If drawing
-    fails, print a note with the reason on stderr and return None: the drive is recorded anyway.
+    `drive` is the daemon's answer about the drive. If drawing fails, print a note on stderr and
+    return None.
     """
     try:
         path = call(robot, PATH)
@@ -77,7 +74,7 @@ def leave_picture(robot: str, drive: Mapping[str, Any]) -> Path | None:
 def write_picture(
     folder: Path, robot: str, reference: Path2D, driven: Path2D, drive: Mapping[str, Any]
 ) -> Path:
-    """Draw a drive's reference and driven path into PICTURE_FILE in `folder`; return that path.
+    """Draw a drive's reference and driven path into PICTURE_FILE in `folder`; return its path.
 
     Raises:
         OSError: The file cannot be written.
@@ -95,10 +92,10 @@ def write_picture(
 def drive_and_wait(
     robot: str, method: MethodName[DriveAnswer], params: dict[str, Any], *, as_json: bool
 ) -> dict[str, Any]:
-    """Request a drive, wait until it ends, and return the daemon's answer.
+    """Request a drive, wait for its end, and return the daemon's answer with the key `picture`.
 
-    The answer gets the key `picture`: the path of the drive's picture, or None. On a terminal, the
-    drive is shown live, unless `as_json`. If it was stopped, its result is printed.
+    `picture` is the path of the drive's picture, or None. On a terminal, the drive is shown live,
+    unless `as_json`.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the drive; the robot stands.
@@ -135,7 +132,7 @@ def _with_picture(robot: str, answer: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def tracking_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines to print about a drive: distance, errors, and where its picture is."""
+    """Return the lines to print about a drive: distance, errors and picture."""
     rms, worst, closure, distance = (
         number(result.get(key), ".3f")
         for key in ("cross_track_rms_m", "cross_track_max_m", "closure_m", "distance_m")
@@ -187,11 +184,11 @@ _OWNERS = {
     "corner": "a rounded-square or a path",
     "angle": "an arc or a turn",
 }
-"""What an option is for, in the words of the error when another motion gets the option."""
+"""The motions for which an option is, for errors."""
 
 
 def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:
-    """Check the arguments `given` after `motion` and return them; none are needed with a `topic`.
+    """Return the arguments `given` after `motion`; with a `topic`, none are needed.
 
     Raises:
         UsageError: There is no such motion, or its arguments are too many, too few or wrong.
@@ -229,7 +226,7 @@ def options_of(pattern: PatternKind) -> frozenset[str]:
 def refuse_options(
     what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
 ) -> None:
-    """Check that no option outside `allowed` is given; an option with the value None is not given.
+    """Check that no option outside `allowed` is given; None means not given.
 
     `what` is the motion's name in the error, and `cure` is the advice about a wrong size.
 
@@ -446,10 +443,10 @@ def drive(
 
 
 def _check(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
-    """Check that the value of `option` is within `low` and `high`, if it is given.
+    """Check that the value of `option`, if given, is within `low` and `high`.
 
     Raises:
-        UsageError: The value is out of range. The daemon may refuse smaller values, too.
+        UsageError: The value is out of range.
     """
     if value is not None and not low <= value <= high:  # NaN is refused, too
         raise UsageError(f"{option} {value:g}", f"use {low:g} to {high:g}{unit}")

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 
 MAX_BYTES = 64 * MAX_POINTS
-"""The most that is read of a file [bytes]: more than any path needs."""
+"""The maximum size of a file with points [bytes]."""
 
 MAX_SHOWN = 60
-"""How much of a wrong point is shown [characters]."""
+"""The maximum length of a wrong point in an error [characters]."""
 
 MCAP = b"\x89MCAP0\r\n"
 
@@ -55,8 +55,8 @@ class _WrittenPoint(NamedTuple):
 def read_waypoints(name: str, frame: Frame, robot: str) -> list[list[float]]:
     """Return the points of a path [m], rounded to 0.1 mm.
 
-    `name` is a file with points, or a recording: its path, its name or `last`. A recording yields
-    its last motion: in the odometry frame, or relative to the motion's start, as `frame` says.
+    `name` is a file with points, or a recording: its path, its name or `last`. The points of a
+    recording are its last motion; `frame` applies to these alone.
 
     Raises:
         UsageError: There is no such file.
@@ -78,7 +78,7 @@ def read_waypoints(name: str, frame: Frame, robot: str) -> list[list[float]]:
 
 
 def _content(name: str, path: Path) -> bytes | None:
-    """Return the content of a file, at most MAX_BYTES + 1 bytes, or None for a folder."""
+    """Return at most MAX_BYTES + 1 bytes of a file, or None for a folder."""
     try:
         if path.is_dir():
             return None
@@ -115,7 +115,7 @@ def _csv_rows(lines: list[str]) -> Iterator[_WrittenPoint]:
 
 
 def _yaml_rows(name: str, text: str) -> Iterator[_WrittenPoint]:
-    """Yield the points of a YAML list as they are written; nested aliases are not expanded."""
+    """Yield the points of a YAML list in their original text."""
     import yaml  # here: the import takes 20 ms
 
     try:
@@ -153,10 +153,9 @@ def _point(name: str, number: int, row: _WrittenPoint) -> Point:
 
 
 def last_path(robot: str, frame: Frame) -> tuple[Point, ...]:
-    """Return the points of the last motion in the newest recording in which the robot drove.
+    """Return the points of the last motion in the newest recording with a drive.
 
-    If later recordings have no drive, a note on stderr names the recording that is used. A running
-    daemon first commits its recording.
+    A running daemon first commits its recording. A note on stderr names an older recording.
 
     Raises:
         Refused: The robot has no recording.
@@ -184,10 +183,10 @@ def _note(path: Path, sentence: str) -> None:
 PATH_TYPE: Final = "nav_msgs/msg/Path"
 
 MAX_MESSAGE_BYTES: Final = 512 * MAX_POINTS
-"""Limit on a serialized path [bytes]: a pose has about 100 bytes."""
+"""Limit on a serialized path [bytes]; a pose has about 100 bytes."""
 
 NOTE_S: Final = 2.0
-"""How long to wait for a message before a line on stderr says that the command still waits [s]."""
+"""The time without a message before a note on stderr [s]."""
 
 ODOMETRY_FRAME: Final = "odom"
 """The frame of odometry (REP 105), unless `odometry.frame_id` names another."""

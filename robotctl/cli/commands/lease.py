@@ -83,7 +83,7 @@ def _line(answer: LeaseStatus) -> str:
 
 
 SIGNALLED = 128
-"""The exit code after a signal is this plus the signal's number, as in shells."""
+"""The exit code after a signal, less the signal's number."""
 
 
 @group.command()
@@ -123,7 +123,7 @@ def take(
 
 
 def _run(command: list[str], token: str) -> int:
-    """Run a command that acts for the holder of the lease, and return its exit code."""
+    """Run a command with the token of the lease, and return its exit code."""
     with ignoring((signal.SIGINT,)):  # the terminal sends Ctrl-C to the command, too
         try:
             done = subprocess.run(command, env={**os.environ, LEASE_VARIABLE: token}, check=False)

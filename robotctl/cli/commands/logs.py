@@ -89,7 +89,7 @@ def _time_ns(when: str) -> int | None:
 
 
 def _begin_of_last(path: Path, count: int) -> int:
-    """Return the offset at which the last `count` lines of the log begin [bytes]."""
+    """Return the offset of the last `count` lines of the log [bytes]."""
     begins: deque[int] = deque(maxlen=count)
     end = 0
     with open_regular(path) as log:
@@ -100,9 +100,9 @@ def _begin_of_last(path: Path, count: int) -> int:
 
 
 def _lines(path: Path, *, follow: bool, begin: int = 0) -> Iterator[str]:
-    """Yield the lines of the log from byte `begin`; with `follow`, wait for more.
+    """Yield the lines of the log from byte `begin`.
 
-    With `follow`, continue with the log of the daemon's next run.
+    With `follow`, wait for more, and continue with the log of the daemon's next run.
     """
     while True:
         with TextIOWrapper(open_regular(path), errors="replace") as log:
@@ -124,5 +124,5 @@ def _lines(path: Path, *, follow: bool, begin: int = 0) -> Iterator[str]:
 
 
 def _is_replaced(path: Path, log: TextIO) -> bool:
-    """Return whether a later start has replaced the log file at `path`."""
+    """Return whether the file at `path` is no longer `log`."""
     return path.exists() and not os.path.samestat(path.stat(), os.fstat(log.fileno()))

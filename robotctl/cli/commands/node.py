@@ -113,7 +113,7 @@ def service() -> None:
 
 
 SERVICE_S = 5.0
-"""How long to look for the service [s]."""
+"""The timeout of the search for the service [s]."""
 
 _TYPE = re.compile(r"\w+/(?:srv|action)/\w+")
 
@@ -164,7 +164,7 @@ def call_service(
 
 
 def parse_words(words: list[str]) -> tuple[str, Any]:
-    """Return the type ("" if it is left out) and the values that follow the service's name.
+    """Return the type, or "" if none is given, and the values that follow the service's name.
 
     Raises:
         UsageError: The values are not YAML like {field: value}, or a word follows the values.

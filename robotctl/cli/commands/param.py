@@ -112,7 +112,7 @@ def list_all(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 
 def lines(answer: ParameterList) -> Iterator[str]:
-    """Yield a line for each parameter; a star marks a value that is not the default."""
+    """Yield a line for each parameter, with a star if the value is not the default."""
     known = answer["parameters"]
     width = column_width([each["key"] for each in known], at_least=10, at_most=40)
     for each in known:

@@ -181,13 +181,13 @@ CONFIG = Path(__file__).with_name("demo.yaml")
 SIDE_M = 1.0
 
 SENSORS_DEADLINE_S = 20.0
-"""How long the first odometry and battery may take [s]: usually 1 s, more under load."""
+"""The timeout of the first odometry and battery [s]: usually 1 s, more under load."""
 
 MAP_ROWS = range(5, 19)
-"""How high the map of the path may be [lines]."""
+"""The height of the map [lines]."""
 
 LINES_AROUND_MAP = 10
-"""How many lines the last screen has for captions, commands and the next prompt."""
+"""The lines of the last screen for captions, commands and the next prompt."""
 
 
 @app.command()
@@ -244,7 +244,7 @@ def demo(
 
 @contextmanager
 def _daemon(robot: str, command: Sequence[str], *, keep: bool) -> Iterator[None]:
-    """Run a daemon during the block; with `keep`, it stays running if the block raises nothing."""
+    """Run a daemon during the block; with `keep`, it continues after a block without an error."""
     with interrupted_by(INTERRUPTIONS):
         try:
             for note in launch(robot, command).get("notes") or []:
@@ -284,7 +284,7 @@ def _wait_for_sensors(robot: str) -> None:
     """Wait until the daemon knows the robot's pose and battery level.
 
     Raises:
-        RobotctlError: The daemon does not know them by the deadline.
+        RobotctlError: The pose or the battery level is unknown at the deadline.
     """
     until = time.monotonic() + SENSORS_DEADLINE_S
     while time.monotonic() < until:
@@ -299,7 +299,7 @@ def _wait_for_sensors(robot: str) -> None:
 
 
 def _recording_of(robot: str) -> str | None:
-    """Return the file that the robot's daemon writes, or None if there is no daemon."""
+    """Return the file of the daemon's recording, or None without a daemon."""
     try:
         return short_path(call(robot, STATUS)["recorder"]["file"])
     except NoDaemon:
@@ -321,7 +321,7 @@ def _topic_lines(found: RecordingInfo) -> list[str]:
 
 
 def _map_lines(path: DrivenPath, others: int) -> Iterator[str]:
-    """Yield the map of a drive, as high as the terminal allows in addition to `others` lines."""
+    """Yield the map of a drive, as high as the terminal allows with `others` more lines."""
     if can_show_braille():
         colour = is_terminal() and not os.environ.get("NO_COLOR")
         rows = terminal_lines() - others - LINES_AROUND_MAP
@@ -332,7 +332,7 @@ def _map_lines(path: DrivenPath, others: int) -> Iterator[str]:
 
 
 def _next_commands(robot: str, folder: str, *, keep: bool) -> list[str]:
-    """Return three commands to continue with, ready to paste."""
+    """Return three commands to continue with."""
     recording = shlex.quote(folder)
     commands = [f"robotctl report {recording}", f"robotctl replay {recording}", "robotctl start"]
     if keep:

@@ -160,7 +160,7 @@ def start(
 
 
 def _view_of(robot: str, ready: StartSummary) -> dict[str, Any] | None:
-    """Start a view and return its report; if it fails, note why in `ready` and return None."""
+    """Start a view and return its report; on failure, add a note to `ready` and return None."""
     try:
         return start_view_of(robot)
     except RobotctlError as error:
@@ -169,7 +169,7 @@ def _view_of(robot: str, ready: StartSummary) -> dict[str, Any] | None:
 
 
 def summary(ready: StartSummary) -> list[str]:
-    """Return the lines to print when the daemon has become ready; `ready` is its report."""
+    """Return the lines to print after the start; `ready` is the daemon's report."""
     robot, sim = printable(ready.get("robot")), ready.get("sim")
     domain, discovery = ready.get("domain_id"), printable(ready.get("discovery_range"))
     latched = f"the emergency stop is still latched; release it with: {command_for(robot, 'reset')}"

@@ -83,7 +83,7 @@ def _lines(answers: list[dict[str, Any]]) -> Iterator[str]:
 
 POLL_S = 0.1
 LINE_S = 1.0
-"""Without a terminal, the status is printed once in this time [s], as a line for a log file."""
+"""The period of the status lines without a terminal [s]."""
 
 
 _ROW = "{:>8} {:<14} {:>8} {:>8} {:>7} {:>7} {:>7} {:>8} {:>5}"
@@ -93,7 +93,7 @@ HEADER = _ROW.format(
 
 
 def status_line(status: Status) -> str:
-    """Return the status as a line in the columns of HEADER; `-` stands for an unknown value."""
+    """Return the status as a line in the columns of HEADER, with `-` for an unknown value."""
     pose: Mapping[str, Any] = status["pose"] or {}
     velocity: Mapping[str, Any] = status["velocity"] or {}
     recorder = status["recorder"]
@@ -116,7 +116,7 @@ def _cell(value: Any, form: str) -> str:
 def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
     """Poll and yield the daemon's status until `working` is done.
 
-    If `working` is done within POLL_S, nothing is yielded. A poll that fails yields nothing.
+    Nothing is yielded in the first POLL_S, and for a poll that fails.
     """
     period_s = POLL_S if is_terminal() else LINE_S
     working.join(POLL_S)
@@ -131,7 +131,7 @@ def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
 
 
 def show(statuses: Iterator[Status]) -> None:
-    """Draw each status over the previous status; without a terminal, print a line for each."""
+    """Draw each status over the previous one; without a terminal, print a line for each."""
     if not is_terminal():
         for row, status in enumerate(statuses):
             if row == 0:
@@ -150,7 +150,7 @@ def show(statuses: Iterator[Status]) -> None:
 KEYS: Final = "space stop   e emergency stop   q quit"
 
 PATH_S: Final = 1.0
-"""The period in which the daemon is asked for the driven path [s]."""
+"""The period of the requests for the driven path [s]."""
 
 
 def watch_on_screen(robot: str) -> None:
@@ -191,7 +191,7 @@ def watch_on_screen(robot: str) -> None:
 
 
 def _pressed(keyboard: Keyboard) -> str:
-    """Wait for keys, at most POLL_S; return them, "" for none, `q` if the terminal is closed."""
+    """Return the keys of the next POLL_S, "" for none, or `q` if the terminal is closed."""
     if not keyboard.sources:
         time.sleep(POLL_S)
         return ""
@@ -236,7 +236,11 @@ def watch(robot: Robot = DEFAULT_ROBOT, as_json: Json = False) -> None:
 
 
 def _each_second(robot: str) -> Iterator[Status]:
-    """Yield the daemon's status each second; raise NoDaemon when the daemon has ended."""
+    """Yield the daemon's status each second.
+
+    Raises:
+        NoDaemon: The daemon has ended.
+    """
     while True:
         yield call(robot, STATUS)
         time.sleep(LINE_S)

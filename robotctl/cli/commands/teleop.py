@@ -1,7 +1,4 @@
-"""teleop: drive by hand, with keys or a gamepad that must be held.
-
-`teleop_controls` turns keys or a gamepad into the wanted motion, and requests it from the daemon.
-"""
+"""teleop: drive by hand, with keys or a gamepad that must be held."""
 
 from __future__ import annotations
 
@@ -60,10 +57,10 @@ if TYPE_CHECKING:
 
 
 MAX_TOPICS: Final = 6
-"""How many topics fit on a terminal of 24 lines; a smaller terminal cuts off the view's end."""
+"""The maximum number of topics, for a terminal of 24 lines."""
 
 END_S: Final = 1.0
-"""How long `suspend` waits for the last drawing to end [s]."""
+"""The timeout of `suspend` for the end of the last drawing [s]."""
 
 
 class TeleopScreen:
@@ -97,7 +94,7 @@ class TeleopScreen:
             self._drawing.join(END_S)
 
     def check(self) -> None:
-        """Raise the error that has ended the drawing, if there is one.
+        """Raise the error that has ended the drawing, if any.
 
         Raises:
             RobotctlError: The daemon did not return its status.
@@ -120,7 +117,7 @@ class TeleopScreen:
 
 
 def view_below(lines: list[str], status: Status) -> RenderableType:
-    """Return `lines` and below them the live view of `status`, which a small terminal cuts off."""
+    """Return `lines`, and below them the live view of `status`."""
     from rich.console import Group
     from rich.text import Text
 
@@ -131,10 +128,10 @@ def view_below(lines: list[str], status: Status) -> RenderableType:
 
 
 PERIOD_S: Final = ASK_EACH_S
-"""The period of reading input while a motion is held, or always if the terminal answers [s]."""
+"""The period of reading input in a motion, or always if the terminal answers [s]."""
 
 IDLE_S: Final = 0.1
-"""The period of reading input while no motion is held [s]; lease and screen are checked, too."""
+"""The period of reading input while no motion is held [s]."""
 
 WITH_RELEASES: Final[tuple[str, ...]] = (
     "hold w a s d or the arrows; a terminal that is silent for 125 ms is zero",
@@ -175,7 +172,7 @@ class TeleopSession:
         self._woke_s = time.monotonic()
 
     def lines(self) -> list[str]:
-        """Return the lines for the screen: the keys, the speeds, and why a motion ended."""
+        """Return the lines for the screen: keys, speeds, and the end of a motion."""
         how = WITHOUT_RELEASES if self._answers is None else WITH_RELEASES
         if self._gamepad is not None:
             how = (str(self._gamepad),)
@@ -194,12 +191,12 @@ class TeleopSession:
         self._holding.silence_lets_go = answers is None and self._gamepad is None
 
     def let_go(self) -> None:
-        """Let go of all keys and of the gamepad; the robot ramps down."""
+        """Release all keys and the gamepad; the robot ramps down."""
         self._forget()
         self._holding.want(STAND)
 
     def turn(self, keyboard: Keyboard) -> None:
-        """Wait for input, at most for one period; then send the wanted velocity.
+        """Wait for input, at most for one period, then send the wanted velocity.
 
         Raises:
             Quit: The operator ended the session, or the terminal is gone.
@@ -243,7 +240,7 @@ class TeleopSession:
             self._gamepad.forget()
 
     def _forget_the_past(self, keyboard: Keyboard) -> None:
-        """Let go, and drop all unread keys: they are old, as this process was stopped or slow."""
+        """Release all keys, and drop the unread ones."""
         self._forget()
         keyboard.flush()
         self._parser = KeyParser()
@@ -276,7 +273,7 @@ class TeleopSession:
 app = new_app()
 
 MAX_INPUTS = 64
-"""More buttons or axes than any gamepad has."""
+"""The limit on buttons and on axes of a gamepad."""
 
 
 @app.command()
@@ -345,7 +342,7 @@ def teleop(
 def _run(
     session: TeleopSession, robot: str, lease: HeldLease | None, *, has_terminal: bool
 ) -> None:
-    """Let the operator drive, until the session or the lease ends."""
+    """Run the session until it or the lease ends."""
 
     def suspend() -> None:
         session.let_go()

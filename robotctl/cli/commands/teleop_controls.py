@@ -21,24 +21,29 @@ from robotctl.messages.definition import parse_definition
 from robotctl.messages.values import Decoder
 
 REPEAT_S: Final = MAX_SILENCE_S
-"""Without key releases, a key that comes again within this time [s] counts as held."""
+"""Without key releases, a key that repeats within this time [s] is held."""
 
 FIRST_REPEAT_S: Final = 0.8
-"""With key releases, a pressed key that does not repeat within this time [s] counts as let go. The
-usual delays are 660 ms (X11), 600 ms (KDE), 500 ms (GNOME, Windows), 250 to 375 ms (macOS)."""
+"""With key releases, a key without a first repeat in this time [s] is released.
+
+Usual delays are 660 ms (X11), 600 ms (KDE), 500 ms (GNOME, Windows), 250 to 375 ms (macOS).
+"""
 
 NEXT_REPEAT_S: Final = 0.25
-"""A key whose repeats stop for this time [s] is let go. Their period is 25 to 50 ms, macOS 90."""
+"""With key releases, a key without a next repeat in this time [s] is released.
+
+Usual periods are 25 to 50 ms, 90 ms on macOS.
+"""
 
 AFTER_OTHER_S: Final = 3.0
-"""How long a key counts as held after another key's release, which ends all repeats [s]."""
+"""The time that a key stays held after another key's release, which ends all repeats [s]."""
 
 MAX_AT_ONCE: Final = 8
-"""If more keys are read at once, they were pasted: the fastest repeat sends 5 in MAX_SILENCE_S."""
+"""More keys at once are pasted; the fastest repeat sends 5 in MAX_SILENCE_S."""
 
 
 class Wish(NamedTuple):
-    """The wanted motion: `forward` and turning `left`, as shares (-1 to 1) of the chosen speeds."""
+    """The wanted motion, as shares (-1 to 1) of the chosen speeds."""
 
     forward: float
     left: float
@@ -57,14 +62,14 @@ STEERING: Final = MappingProxyType(
 """The keys that steer."""
 
 STOPPING: Final = frozenset(" eq")
-"""The keys that only stop: they count in every form, also as pasted text."""
+"""The keys that only stop; pasted ones count, too."""
 
 
 def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
-    """Return the keys without pasted text; the keys in STOPPING always remain.
+    """Return the keys without pasted text, except that the keys in STOPPING remain.
 
-    A terminal that reports releases (`tells_releases`) sends only pasted keys as text. On any
-    other terminal, text counts as pasted if more than MAX_AT_ONCE keys came at once.
+    Text is pasted if the terminal reports releases (`tells_releases`), or else if more than
+    MAX_AT_ONCE keys came at once.
     """
     if not tells_releases and len(keys) <= MAX_AT_ONCE:
         return keys
@@ -74,12 +79,7 @@ def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
 class HandsWithReleases:
     """Keys held in a terminal that reports releases; a key is held from press to release.
 
-    A release may be lost, in a multiplexer or when the window loses the focus. So all keys count
-    as released when no key repeats any more. A terminal repeats only the key that was pressed last,
-    and no key after its release. Text does not count as a press, because no release would follow.
-
-    `take` returns the wanted motion again with each ANSWER of the terminal. A dead terminal sends
-    no ANSWER, so the robot stops.
+    When no key repeats any more, all keys count as released. `problem` is then the text to show.
     """
 
     def __init__(self) -> None:
@@ -94,6 +94,7 @@ class HandsWithReleases:
         for key in keys:
             if key.name != ANSWER and not key.is_text:
                 self._hear(key, now_s)
+        # A release may be lost, in a multiplexer or when the window loses the focus.
         if self._held and now_s - self._heard_s > self._patience_s:
             self._held.clear()
             self.problem = "let go: no key repeated. Press it again"
@@ -101,10 +102,11 @@ class HandsWithReleases:
         forward, left = map(sum, zip(*wishes, strict=True))
         wish = Wish(max(-1.0, min(forward, 1.0)), max(-1.0, min(left, 1.0)))
         changes, self._wish = wish != self._wish, wish
+        # A dead terminal sends no ANSWER: without new wishes, the robot stops.
         return wish if changes or any(key.name == ANSWER for key in keys) else None
 
     def forget(self) -> None:
-        """Let go of every key; repeats of a key that is still down are ignored."""
+        """Release all keys; repeats of a key that is still down are ignored."""
         self._held.clear()
         self._wish = STAND
 
@@ -125,8 +127,8 @@ class HandsWithReleases:
 class HandsWithoutReleases:
     """Keys held in a terminal that repeats a held key and reports no release.
 
-    The first press of a key moves nothing, because the key may not be held. After pasted text, no
-    key counts until all steering keys have been silent for REPEAT_S.
+    The first press of a key moves nothing. After pasted text, no key counts until all steering keys
+    have been silent for REPEAT_S.
     """
 
     def __init__(self) -> None:
@@ -136,7 +138,7 @@ class HandsWithoutReleases:
         self._is_forgotten = False
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the motion of the last steering key in `keys`, or None if it is no repeat."""
+        """Return the motion of the last steering key in `keys`, or None if the key is no repeat."""
         names = [key.name for key in keys if key.name in STEERING]
         is_pasted = len(keys) > MAX_AT_ONCE
         if not (names or is_pasted):
@@ -149,17 +151,17 @@ class HandsWithoutReleases:
         return STEERING[name] if names and repeats and not self._is_forgotten else None
 
     def forget(self) -> None:
-        """Release all keys. No key counts until all steering keys have been silent for REPEAT_S."""
+        """Release all keys; none counts until all steering keys have been silent for REPEAT_S."""
         self._is_forgotten = True
 
 
 Hands = HandsWithReleases | HandsWithoutReleases
-"""The held keys of a terminal; `problem` says why keys were let go, or is ""."""
+"""The held keys of a terminal; `problem` is the reason of a release, or ""."""
 
 JOY: Final = "sensor_msgs/msg/Joy"
 
 SILENT_S: Final = 1.0
-"""After this time without a message [s], the screen says so; the robot stops long before."""
+"""The time without a message before the screen reports the silence [s]."""
 
 
 class Controls(NamedTuple):
@@ -171,7 +173,7 @@ class Controls(NamedTuple):
 
 
 class Gamepad:
-    """A gamepad that publishes on a topic. While it sends nothing, the robot stands.
+    """A gamepad that publishes on a topic; the robot stands while it sends nothing.
 
     While one publisher sends, messages of other publishers on the topic are ignored.
     """
@@ -188,7 +190,7 @@ class Gamepad:
         self._problem = ""
 
     def __str__(self) -> str:
-        """Return what the operator has to do, or why nothing moves."""
+        """Return the advice to the operator, with a problem if there is one."""
         button = f"button {self._controls.button} of {self._topic}"
         if time.monotonic() - self._heard_s > SILENT_S:
             return f"nothing is heard on {self._topic}: connect the gamepad (see autorepeat_rate)"
@@ -216,9 +218,9 @@ class Gamepad:
         return STAND if self._is_forgotten else wish
 
     def _is_followed(self, message: Mapping[str, Any]) -> bool:
-        """Return whether the followed publisher sent the message.
+        """Return whether the message counts.
 
-        If that publisher is silent for MAX_SILENCE_S, follow the sender of this message.
+        After MAX_SILENCE_S without a message, the gamepad follows the publisher of this message.
         """
         now_s = time.monotonic()
         if message["publisher"] != self._publisher:
@@ -258,7 +260,7 @@ FIRST_SHARE, STEP = 0.5, 1.1
 """The share of the speed limits at the start, and the factor by which one step changes it."""
 
 CALL_S = 1.0
-"""How long the daemon may take to answer [s]; without commands, the robot stops long before."""
+"""The timeout of the daemon's answer [s]."""
 
 
 class Speeds:
@@ -285,7 +287,7 @@ class Speeds:
         self._share = min(max(self._share * factor, self._least), 1.0)
 
     def velocity(self, wish: Wish) -> tuple[float, float]:
-        """Return the wanted velocity [m/s, rad/s]; `left` turns to the left, also in reverse."""
+        """Return the wanted velocity [m/s, rad/s]; a positive `left` turns left in reverse, too."""
         return (
             wish.forward * self._share * self._linear_mps,
             wish.left * self._share * self._angular_rps,
@@ -297,14 +299,14 @@ class Speeds:
 
 
 class Holding:
-    """Requests the wanted motion; `message` says why the last motion ended or was refused.
+    """Requests the wanted motion; `message` is the reason of its last end or refusal.
 
-    If `want` is not called for MAX_SILENCE_S, the motion ends. With `silence_lets_go`, the next
-    call begins a new motion. Without it, that call fails: the operator must let go first.
+    If `want` is not called for MAX_SILENCE_S, the motion ends. The next call begins a new motion
+    with `silence_lets_go`, and fails without.
     """
 
     def __init__(self, client: Client, params: Mapping[str, Any]) -> None:
-        """`params` says who asks: source, reason and lease."""
+        """`params` has source, reason and lease of each request."""
         self.message = ""
         self.silence_lets_go = False
         self._client = client
@@ -314,7 +316,7 @@ class Holding:
 
     @property
     def is_held(self) -> bool:
-        """Whether the daemon's last answer says that the motion goes on."""
+        """Whether the motion continues, by the daemon's last answer."""
         return self._number != 0
 
     def want(self, velocity: tuple[float, float]) -> bool:

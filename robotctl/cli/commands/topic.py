@@ -52,12 +52,12 @@ def topic() -> None:
 
 
 def _recorded(file: str, topic: str, type_name: str) -> tuple[TopicInfo, Iterator[Message]]:
-    """Find a topic in a recording; return it, and its messages in the order of their log times.
+    """Return a topic of a recording, and its messages in the order of their log times.
 
     Raises:
         UsageError: The recording has no such topic, or it has several types.
-        UnreadableFile: The messages are not in CDR, or not everything can be read; the latter is
-            raised after the last message.
+        UnreadableFile: The messages are not in CDR, or, after the last message, not everything can
+            be read.
     """
     from robotctl.recording import read_info, read_messages
     from robotctl.recording.table import choose_topic
@@ -82,7 +82,7 @@ class Printer:
         full_length: bool,
         as_json: bool,
     ) -> None:
-        """Print whole messages, or the `field` of each; as lines of YAML, or of JSON.
+        """Print whole messages, or the `field` of each, as YAML or JSON.
 
         Raises:
             UsageError: The type has no such field.
@@ -101,10 +101,10 @@ class Printer:
             raise UsageError(str(error)) from None
 
     def print(self, data: bytes, time_ns: int, publish_ns: int, *, with_time: bool) -> None:
-        """Print a serialized message, or its field, as one line of JSON or as YAML ended by `---`.
+        """Print a serialized message, or its field, as one line of JSON or as YAML.
 
-        A field with a single value is printed as one line. Without JSON, the time [s] is printed
-        only `with_time`: in a YAML comment before the message, or on the value's line.
+        Without JSON, the time [s] is printed only `with_time`. A field with a single value is one
+        line.
         """
         value = self._value(data)
         if self._as_json:
@@ -151,7 +151,7 @@ TypeName = Annotated[
 
 
 NOTE_S = 2.0
-"""How long to wait for a message before a line on stderr says that the command still waits [s]."""
+"""The time without a message before a note on stderr [s]."""
 
 
 @group.command()
@@ -380,10 +380,7 @@ def hz(
 
 
 def statistics(times_ns: Sequence[int]) -> dict[str, Any] | None:
-    """Return statistics of messages received at `times_ns`, None if the times span no time.
-
-    They are the mean rate, the shortest and longest period, its standard deviation, and the count.
-    """
+    """Return statistics of messages received at `times_ns`, None if the times span no time."""
     times = list(times_ns)
     periods_s = [(after - before) / NS_PER_S for before, after in pairwise(times)]
     total_s = sum(periods_s)

@@ -29,11 +29,10 @@ T = TypeVar("T")
 
 
 class Background(threading.Thread, Generic[T]):
-    """A thread that runs `work` and keeps its result; the process may end before the thread.
+    """A daemon thread that runs `work` and keeps its result."""
 
-    Not a future: if Ctrl-C interrupts a method of a future, the future's lock may stay locked, and
-    the thread, which needs that lock, never ends.
-    """
+    # Not a future: a future's lock may stay locked if Ctrl-C interrupts one of its methods, and the
+    # thread, which needs that lock, then never ends.
 
     def __init__(self, work: Callable[[], T]) -> None:
         super().__init__(daemon=True)
@@ -51,7 +50,7 @@ class Background(threading.Thread, Generic[T]):
         self.is_done = True
 
     def result(self) -> T:
-        """Wait for the work, then return what it returned or raise what it raised."""
+        """Wait for the work, then return its result or raise its exception."""
         self.join()
         if self._raised is not None:
             raise self._raised
@@ -62,8 +61,7 @@ class Background(threading.Thread, Generic[T]):
 def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
     """Make each of `numbers` that would end this process raise KeyboardInterrupt, as Ctrl-C does.
 
-    After the first such signal, all of these are ignored until the end of the block: a terminal
-    that closes sends several, and the reaction to the first must be completed.
+    After the first such signal, all of them are ignored until the end of the block.
     """
     previous = {
         number: signal.getsignal(number)
@@ -73,7 +71,7 @@ def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
     }
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        for other in previous:
+        for other in previous:  # a terminal that closes sends several signals
             signal.signal(other, _ignore)
         raise KeyboardInterrupt
 
@@ -88,7 +86,7 @@ def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
 
 @contextmanager
 def ignoring(numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Ignore the signals `numbers` inside the `with` block, so that they cannot interrupt it."""
+    """Ignore the signals `numbers` inside the `with` block."""
     previous = {number: signal.signal(number, _ignore) for number in numbers}
     try:
         yield
@@ -98,18 +96,15 @@ def ignoring(numbers: Iterable[signal.Signals]) -> Iterator[None]:
 
 
 def _ignore(number: int, frame: FrameType | None) -> None:
-    """Handle a signal by doing nothing.
-
-    SIG_IGN would be inherited by children, and Python reports an error for a signal that arrived
-    just before SIG_IGN was set.
-    """
+    """Handle a signal by doing nothing."""
+    # Not SIG_IGN: children inherit it, and Python reports an error for a signal just before it.
 
 
 CLOSING_SIGNALS: Final = (signal.SIGHUP, signal.SIGTERM)
 """The signals of a terminal that closes and of a session that ends."""
 
 POLL_S: Final = 0.05
-"""The period of the checks while waiting for the end of a drive, or for a lease [s]."""
+"""The period of the checks for the end of a drive, or for a lease [s]."""
 
 REPORT_DEADLINE_S: Final = 2.0
 """How long the daemon may take to report a drive after its end [s]."""
@@ -121,8 +116,7 @@ def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = 
     """Wait until the drive ends, at most `at_most_s`.
 
     Raises:
-        KeyboardInterrupt: The reader of stdout has closed the pipe. This is how an ssh connection
-            without a terminal ends: no signal arrives.
+        KeyboardInterrupt: The reader of stdout has closed the pipe.
     """
     poll = select.poll()
     poll.register(_STDOUT, 0)
@@ -131,14 +125,13 @@ def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = 
         not driving.is_done and time.monotonic() < end
     ):  # polls, because an interrupted join would mark the thread as ended
         if any(found & (select.POLLERR | select.POLLHUP) for _, found in poll.poll(POLL_S * 1000)):
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt  # an ssh connection without a terminal ends without a signal
 
 
 def stop_drive(robot: str, driving: Background[DriveAnswer]) -> Interrupted:
     """Ramp the robot down, and return the error to raise, with the numbers of the drive.
 
-    Another Ctrl-C is an emergency stop. Other signals are ignored during the ramp, because a
-    terminal that closes sends several.
+    Another Ctrl-C latches the emergency stop.
 
     Raises:
         RobotctlError: The daemon could not be reached, or refused to stop the robot.
@@ -176,9 +169,10 @@ KEEP_S = 0.2
 
 
 class HeldLease:
-    """Holds the robot's lease in a `with` block, so that no other client can start a motion.
+    """Holds the robot's lease in a `with` block: no other client can start a motion.
 
-    If this process freezes or is killed, the lease ends in about a second: the robot ramps down.
+    If this process freezes or is killed, the lease ends in about a second, and the robot ramps
+    down.
 
     Raises:
         Refused: At the start of the block, another client holds the lease, or the robot moves.
@@ -186,7 +180,7 @@ class HeldLease:
     """
 
     def __init__(self, robot: str, command: str, reason: str = "") -> None:
-        """`command` is the name of the command of robotctl that takes the lease."""
+        """`command` is the command of robotctl that holds the lease."""
         self.token = os.urandom(16).hex()
         """The parameter `lease` of each request that acts for the holder."""
         self._robot = robot
@@ -211,7 +205,7 @@ class HeldLease:
         return self._holding.result()
 
     def __enter__(self) -> Self:
-        """Acquire the lease; return as soon as it is held."""
+        """Acquire the lease."""
         try:
             self._holding.start()
             with Client(self._robot) as client:

@@ -35,22 +35,22 @@ from robotctl.view.view_job import LiveTarget, ViewJob
 DAEMON = program("robotctl.daemon")
 
 READY_DEADLINE_S = 60.0
-"""From process start to READY; a PC needs 2 s, a loaded single-board computer far more."""
+"""The timeout from process start to READY [s]; a PC needs 2 s."""
 
 END_DEADLINE_S = 10.0
-"""How long a daemon that did not become ready may take to exit."""
+"""The timeout of the exit of a daemon that did not become ready [s]."""
 
 INTERRUPTIONS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""The signals that end a command and must not leave a half-started daemon behind."""
+"""The signals that end a command."""
 
 _TOO_SLOW = {"error": f"the daemon was not ready within {READY_DEADLINE_S:g} s"}
 
 
 def daemon_command(robot: str, options: Mapping[str, object], words: Sequence[str]) -> list[str]:
-    """Return the command line of a daemon.
+    """Return the command line of a daemon, with `words` at its end.
 
-    An option is left out if its value is None or False, is a flag if it is True, and is given once
-    for each value of a list. `words` are added as they are.
+    An option with the value None or False is left out; True makes a flag. A list repeats the
+    option.
     """
     command = [*DAEMON, "--robot", robot]
     for name, value in options.items():
@@ -67,10 +67,10 @@ def launch(
     command: Sequence[str],
     on_ready: Callable[[StartSummary], None] = lambda ready: None,
 ) -> StartSummary:
-    """Start a daemon by `command`, in a new session. When it is ready, call `on_ready`.
+    """Start a daemon by `command` in a new session, and return its report when it is ready.
 
-    Return the daemon's report, which is also the argument of `on_ready`. If a signal interrupts
-    this function or `on_ready`, the daemon ends: no daemon runs unnoticed.
+    `on_ready` is called with the report. If a signal interrupts this function or `on_ready`, the
+    daemon ends.
 
     Raises:
         RobotctlError: The daemon did not start; the error has its reason and exit code.
@@ -127,7 +127,7 @@ def launch(
 
 
 def _put_in_place(own_log: Path, log: Path) -> None:
-    """Keep the robot's previous log under another name, then put `own_log` in its place."""
+    """Rename the robot's previous log, then put `own_log` in its place."""
     with suppress(FileNotFoundError):
         log.replace(log.with_name(f"{log.name}.1"))
     own_log.replace(log)
@@ -146,7 +146,7 @@ def _failure(ended: str, said: dict[str, Any], log: Path, see: str) -> RobotctlE
 
 
 def _end(daemon: Child, *, patiently: bool) -> str:
-    """If `patiently`, give the daemon time to exit; then end it, and return how it ended."""
+    """End the daemon, and return how it ended; if `patiently`, first give it time to exit."""
     if not (patiently and daemon.wait(END_DEADLINE_S) is not None):
         daemon.kill(signal.SIGTERM)
     exit_code = daemon.close(END_DEADLINE_S)
@@ -158,16 +158,16 @@ def _end(daemon: Child, *, patiently: bool) -> str:
 VIEW: Final = program("robotctl.view")
 
 READY_S: Final = 30.0
-"""How long a view may take to be ready [s]; it needs half a second."""
+"""The timeout for a view to be ready [s]; it needs half a second."""
 
 END_S: Final = 10.0
-"""How long the process of a view may take to leave the ROS domain and exit [s]."""
+"""The timeout for a view to leave the ROS domain and exit [s]."""
 
 
 def live_target(robot: str) -> LiveTarget:
     """Return the process, namespace and ROS domain of a robot's running daemon.
 
-    If no discovery range is set in the environment, set it to the range of the daemon.
+    The discovery range in the environment becomes the daemon's, unless it is set.
 
     Raises:
         NoDaemon: No daemon runs.
@@ -201,7 +201,7 @@ def start_view_of(robot: str) -> dict[str, Any]:
 
 
 def start_view(job: ViewJob, log: Path | None = None) -> tuple[Child, dict[str, Any]]:
-    """Start the process of a view; return the process and the report `ready` that it has sent.
+    """Start the process of a view; return the process and its report `ready`.
 
     With a `log`, the view writes its stderr to this file, and may outlive this process.
 
@@ -224,7 +224,7 @@ def start_view(job: ViewJob, log: Path | None = None) -> tuple[Child, dict[str, 
 
 
 def show_view(job: ViewJob, *, as_json: bool) -> None:
-    """Start a view, print where to connect, and wait until it ends.
+    """Start a view, print its addresses, and wait until it ends.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the view.

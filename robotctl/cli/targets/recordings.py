@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LAST = "last"
 
 _NAME = re.compile(r"(.+)_(\d{8}_\d{6})(?:-(\d+))?")
-"""ROBOT_DATE_TIME, with a number if several were started in the same second."""
+"""ROBOT_DATE_TIME, with a number if several began in the same second."""
 
 MAX_PATH_BYTES = 4096
 """PATH_MAX of Linux."""
@@ -64,14 +64,13 @@ RecordedBy = Annotated[
 
 
 def recordings_folder(robot: str | None, given: Path | None) -> Path:
-    """Return the folder `given`; if it is None, find the folder with recordings of `robot`.
+    """Return the folder `given`, or else the folder with recordings of `robot`.
 
-    That is ./recordings if it holds one, else the folder in which the last daemon of `robot`
-    recorded, if it still exists, else ./recordings. If `robot` is None, any robot counts.
+    The folder is ./recordings if one is there, else that of the last daemon. None is any robot.
 
     Raises:
-        UsageError: `given` is not a folder, or another user could have changed the file in
-            which the daemon noted its folder.
+        UsageError: `given` is not a folder, or another user could have changed the daemon's note of
+            its folder.
     """
     if given is not None:
         if not given.is_dir():
@@ -97,10 +96,10 @@ def file_path(text: str) -> Path:
 
 
 def recording_path(text: str) -> Path:
-    """Return the path on this computer that the argument `text` names.
+    """Return `text` as a path on this computer.
 
     Raises:
-        UsageError: The argument is a URL of a store.
+        UsageError: `text` is a URL of a store.
     """
     from robotctl.base.store import RemoteFile, not_here
 
@@ -115,12 +114,11 @@ def find_recording(
 ) -> Path:
     """Return the path of the recording `name`: a path, a name in the recordings folder, or `last`.
 
-    A name that is not found is returned as it is; opening it then fails with the reason. With
-    `also_url`, the name may be a URL of one file, too.
+    A name that is not found is returned as it is. With `also_url`, the URL of a file is allowed.
 
     Raises:
         Refused: `name` is `last`, and there is no recording.
-        UsageError: `name` is a URL that `also_url` does not allow.
+        UsageError: `name` is a URL that is not allowed.
     """
     path = file_path(name) if also_url else recording_path(name)
     if "://" in name:
@@ -142,16 +140,16 @@ def find_recording(
 
 
 LABEL_WIDTH = 12
-"""Width of the column before a path: a verdict or `skipped`."""
+"""The width of the column before a path [characters]."""
 
 
 def select_recordings(
     files: Sequence[Path], robot: str | None, *, also_urls: bool = False
 ) -> tuple[list[Path], list[Path]]:
-    """Return the recordings that `files` name (paths, names or `last`), and the paths to skip.
+    """Return the recordings of `files` (paths, names or `last`), and the paths to skip.
 
     A folder of recordings stands for all recordings in it. If no path is a recording, no path is
-    skipped: the caller reads each path, and gets an error that says why it is not a recording.
+    skipped.
 
     Raises:
         Refused: `last` was given and there is no recording.
@@ -172,7 +170,7 @@ def skipped_lines(skipped: Sequence[Path]) -> list[str]:
 
 
 def _recordings_at(path: Path) -> list[Path]:
-    """Return the recording at `path`, or those in it if it is a folder of recordings."""
+    """Return the recording at `path`, or the recordings in this folder."""
     from robotctl.recording.read.files import is_bag
 
     try:
@@ -191,9 +189,9 @@ def cure_of_damage(path: Path) -> str:
 
 
 def recordings_of(robot: str | None, folder: Path) -> list[Path]:
-    """Return the recordings of `robot`, or of any robot, in `folder`, newest first.
+    """Return the recordings of `robot`, or of any robot if None, in `folder`, newest first.
 
-    Only folders with a name ROBOT_DATE_TIME count; daemons name recordings in this way.
+    Only folders with a name ROBOT_DATE_TIME count.
     """
     try:
         found = [(_NAME.fullmatch(path.name), path) for path in folder.iterdir()]
@@ -208,13 +206,13 @@ def recordings_of(robot: str | None, folder: Path) -> list[Path]:
 
 
 def robot_of(recording: Path) -> str | None:
-    """Return the robot in the name of a recording, or None if the name has another form."""
+    """Return the robot in the name of a recording, or None for another form of name."""
     match = _NAME.fullmatch(recording.name)
     return match[1] if match else None
 
 
 def noted_folders(robot: str | None) -> Iterator[Path]:
-    """Yield the folder in which the last daemon of `robot` recorded, if the daemon left a note.
+    """Yield the folder in which the last daemon of `robot` recorded.
 
     If `robot` is None, yield the folders of all robots, the one with the newest note first.
 
@@ -243,10 +241,10 @@ def _changed_s(path: Path) -> float:
 
 
 MAX_RECORDINGS = 20
-"""How many recordings are searched; reading a journal takes seconds per recorded hour."""
+"""The maximum number of recordings to search."""
 
 COMMIT_DEADLINE_S = 8.0
-"""Timeout of a commit [s]; before that, the daemon answers how many messages are not written."""
+"""The timeout of a commit [s]; the daemon answers earlier."""
 
 
 def committed_recording(robot: str, missing: list[str]) -> Path | None:
@@ -270,10 +268,7 @@ def committed_recording(robot: str, missing: list[str]) -> Path | None:
 
 
 def with_earlier(newest: Path) -> list[Path]:
-    """Return `newest`, then earlier recordings of its robot in the same folder, newest first.
-
-    The list has at most MAX_RECORDINGS.
-    """
+    """Return `newest` and earlier recordings of its robot, newest first, MAX_RECORDINGS at most."""
     paths = recordings_of(robot_of(newest), newest.parent)
     if newest not in paths:
         return [newest]
@@ -308,8 +303,8 @@ MAX_SECONDS = 366 * DAY_S
 def parse_moment(text: str, start_ns: int, end_ns: int, option: str = "--at") -> int:
     """Return the time that `text` names, as nanoseconds since the epoch.
 
-    The recording lasts from `start_ns` to `end_ns`. A time of day is on its first day, or on the
-    next day if that alone puts it inside the recording. The error names `option`.
+    A time of day is on the recording's first day, unless only the next day puts it between
+    `start_ns` and `end_ns`. The error names `option`.
 
     Raises:
         UsageError: The text is not a time.
@@ -341,7 +336,7 @@ def _date_ns(text: str) -> int | None:
 
 
 def parse_since(text: str, now_ns: int) -> int:
-    """Return the moment that `--since` means, as nanoseconds since the epoch.
+    """Return the moment of `--since`, as nanoseconds since the epoch.
 
     Raises:
         UsageError: The text is neither a time span such as 30d, 12h or 15m, nor a date.

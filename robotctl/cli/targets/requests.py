@@ -16,7 +16,7 @@ def own_token() -> str | None:
     """Return the lease token in ROBOTCTL_LEASE, or None if it is not set.
 
     Raises:
-        UsageError: The text cannot be a token: its length is wrong.
+        UsageError: The token has a wrong length.
     """
     token = os.environ.get(LEASE_VARIABLE)
     if token and len(token) not in _LENGTHS:
@@ -30,7 +30,7 @@ def request_source(command: str) -> str:
 
 
 def asked_by(command: str, reason: str = "") -> dict[str, str]:
-    """Return the parameters of a request that name its source and its reason, if there is one.
+    """Return the parameters of a request that name its source and, if given, its reason.
 
     Raises:
         UsageError: The reason is not allowed.
@@ -58,7 +58,7 @@ def lease_of_shell() -> dict[str, str]:
     """Return the parameter `lease` of a request, from ROBOTCTL_LEASE; {} if that is not set.
 
     Raises:
-        UsageError: The text cannot be a token: its length is wrong.
+        UsageError: The token has a wrong length.
     """
     token = own_token()
     return {"lease": token} if token else {}

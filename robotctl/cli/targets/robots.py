@@ -18,13 +18,13 @@ from robotctl.ipc.protocol import EMERGENCY_STOP_MODE
 SUFFIX = ".sock"
 
 ANSWER_S = 2.0
-"""How long a daemon may take to send its status [s]; all daemons are asked in parallel."""
+"""The timeout of a daemon's status [s]."""
 
 T = TypeVar("T")
 
 
 class RobotDaemon(NamedTuple):
-    """A running daemon and its `status`; if that is None, `problem` says why it sent none."""
+    """A running daemon; without a `status`, `problem` is the reason."""
 
     robot: str
     status: Status | None
@@ -32,12 +32,12 @@ class RobotDaemon(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether the status says that the robot moves."""
+        """Whether the mode in the status is MOVING."""
         return self.status is not None and self.status["mode"] == "MOVING"
 
 
 def names() -> list[str]:
-    """Return the robots that have a socket, even if it was left by a killed daemon.
+    """Return the robots with a socket, even if a killed daemon left it.
 
     Raises:
         Refused: The runtime folder belongs to another user.
@@ -53,7 +53,7 @@ def names() -> list[str]:
 
 
 def find(robots: Iterable[str]) -> list[RobotDaemon]:
-    """Return each running daemon of `robots`, with its status or the reason why it has none."""
+    """Return each running daemon of `robots`."""
     return [found for found in at_once(_look, robots) if found is not None]
 
 
@@ -81,8 +81,7 @@ def _look(robot: str) -> RobotDaemon | None:
 def stop_all(params: dict[str, str]) -> tuple[list[dict[str, Any]], RobotctlError | None]:
     """Latch the emergency stop of all robots in parallel; return all results and the first error.
 
-    A result has the keys `robot`, `ok` and `message` (the daemon's answer, or why the stop failed).
-    A robot without a daemon is left out. The error is None if no stop failed.
+    A result has the keys `robot`, `ok` and `message`. A robot without a daemon is left out.
 
     Raises:
         NoDaemon: There is no daemon.
@@ -111,6 +110,6 @@ def stop_all(params: dict[str, str]) -> tuple[list[dict[str, Any]], RobotctlErro
 
 
 def others_than(robot: str) -> list[RobotDaemon]:
-    """Return the daemons of all robots but `robot` that move, or whose status is unknown."""
+    """Return the daemons of all other robots that move, or whose status is unknown."""
     others = [name for name in names() if name != robot]
     return [found for found in find(others) if found.moves or found.problem]

@@ -1,7 +1,4 @@
-"""Query ROS for a command: the graph through the daemon, all else through a new process.
-
-Without a daemon, the process (robotctl.ros.queries) reads the graph, too. It ends with the command.
-"""
+"""Query ROS for a command: the graph through the daemon, all else through a new process."""
 
 from __future__ import annotations
 
@@ -26,25 +23,21 @@ QUERY: Final = "robotctl.ros.queries"
 """The module of the process that queries ROS."""
 
 END_S: Final = 10.0
-"""How long that process may take to leave its ROS domain and exit."""
+"""The timeout for that process to leave its ROS domain and exit [s]."""
 
 ANSWER_S: Final = 30.0
-"""How long the process may take for an answer: it waits up to 3.5 s for discovery, and a busy
-machine starts it slowly."""
+"""The timeout of an answer [s]; discovery takes up to 3.5 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class RosView:
-    """Queries one ROS domain; `full_name` resolves relative names in the robot's `namespace`.
-
-    The namespace begins with a slash, or is "".
-    """
+    """Queries one ROS domain; `namespace` begins with a slash, or is ""."""
 
     robot: str
     namespace: str
     domain_id: int
     through_daemon: bool
-    """Whether the robot's daemon answers about the graph; otherwise a new process does."""
+    """Whether the robot's daemon answers about the graph, not a new process."""
 
     def names(self) -> Graph:
         """Return the names of all topics, services and nodes."""
@@ -54,7 +47,7 @@ class RosView:
         return answer
 
     def topic(self, name: str) -> GraphTopic:
-        """Return the endpoints of the topic with this full name.
+        """Return the endpoints of the topic with the full name `name`.
 
         Raises:
             UsageError: No node publishes or subscribes to the topic.
@@ -144,13 +137,13 @@ class RosView:
 
 
 class MessageListener:
-    """Receives the messages of a topic; the end of its `with` block ends the subscription."""
+    """Receives the messages of a topic until the end of its `with` block."""
 
     def __init__(self, child: Child) -> None:
         """Wait until the process `child` reports the topic's type and publishers.
 
         Raises:
-            RobotctlError: The process cannot subscribe to the topic; the text says why.
+            RobotctlError: The process cannot subscribe to the topic.
         """
         self._child = child
         try:
@@ -178,7 +171,7 @@ class MessageListener:
         return self._child.fileno()
 
     def receive(self, seconds: float) -> Iterator[dict[str, Any]]:
-        """Yield the messages that have arrived. Wait for one at most `seconds`, then yield nothing.
+        """Yield the messages that have arrived; without any, wait for one at most `seconds`.
 
         Raises:
             RobotctlError: The process that listens has ended, or reported an error.
@@ -195,7 +188,7 @@ class MessageListener:
 def ros_view(robot: str, domain_id: int | None) -> RosView:
     """Return the view of the ROS domain `domain_id`.
 
-    If `domain_id` is None, use the daemon's domain; without a daemon, use ROS_DOMAIN_ID or else 0.
+    None is the daemon's domain, or ROS_DOMAIN_ID or 0 without a daemon.
 
     Raises:
         UsageError: The number is not a ROS domain.
@@ -220,7 +213,7 @@ def _checked(name: str) -> str:
     """Return `name` if it can be a name in ROS.
 
     Raises:
-        UsageError: It is too long or not printable.
+        UsageError: The name is too long or not printable.
     """
     if len(name) > MAX_GRAPH_NAME or not name.isprintable():
         raise UsageError(f"{name[:40]!r} is no name in ROS")
@@ -228,7 +221,7 @@ def _checked(name: str) -> str:
 
 
 def _checked_report(report: dict[str, Any]) -> dict[str, Any]:
-    """Return the report if it is not an error.
+    """Return the report unless it is an error.
 
     Raises:
         RobotctlError: The process reported this error.

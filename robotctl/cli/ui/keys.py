@@ -22,11 +22,10 @@ _LOCAL_FLAGS = 3
 
 
 class Keyboard:
-    """A context in which keys arrive one by one and without echo; Ctrl-C and Ctrl-Z still work.
+    """A context in which keys arrive one by one and without echo.
 
-    Ctrl-Z takes effect in `read`, never while something is drawn: `suspend` is called before the
-    process stops, and `resume` when it continues. Without a terminal, and in the background of a
-    shell, there are no keys.
+    Ctrl-Z takes effect in `read`: it calls `suspend` before the process stops, and `resume` when it
+    continues. Without a terminal, or in the background of a shell, there are no keys.
     """
 
     def __init__(self, suspend: Callable[[], object], resume: Callable[[], object]) -> None:
@@ -59,17 +58,17 @@ class Keyboard:
 
     @property
     def sources(self) -> list[int]:
-        """The descriptors to wait for: keys and Ctrl-Z; empty without a terminal."""
+        """The descriptors of keys and Ctrl-Z, to wait for; empty without a terminal."""
         keys = [] if self._saved is None else [self._file]
         return keys if self._stop_asked < 0 else [*keys, self._stop_asked]
 
     @property
     def keys_from(self) -> int:
-        """The descriptor from which the keys are read, -1 if there are no keys."""
+        """The descriptor of the keys, or -1 if there are no keys."""
         return -1 if self._saved is None else self._file
 
     def read(self) -> str:
-        """Return the pressed keys as text, "" for none; call this when a source is readable."""
+        """Return the pressed keys as text, or "" for none; call this when a source is readable."""
         ready, _, _ = select.select(self.sources, [], [], 0.0)
         if self._stop_asked in ready:
             os.eventfd_read(self._stop_asked)
@@ -77,14 +76,14 @@ class Keyboard:
         return os.read(self._file, 64).decode(errors="ignore") if self._file in ready else ""
 
     def has_ended(self, ready: Sequence[object]) -> bool:
-        """Return whether the terminal is closed. Call this only if `read` has returned "".
+        """Return whether the terminal is closed; call this only after `read` has returned "".
 
-        `ready` has those of the `sources` that were readable before the call of `read`.
+        `ready` has those of the `sources` that were readable before that call.
         """
         return self._saved is not None and self._file in ready and self._stop_asked not in ready
 
     def flush(self) -> None:
-        """Drop the keys that were pressed but not read yet."""
+        """Drop the keys that are not read yet."""
         if self._saved is not None:
             termios.tcflush(self._file, termios.TCIFLUSH)
 
@@ -120,14 +119,14 @@ class Keyboard:
 
 
 MAX_SEQUENCE: Final = 40
-"""An unfinished escape sequence that is longer than this [characters] is dropped."""
+"""The maximum length of an unfinished escape sequence [characters]; a longer one is dropped."""
 
 MAX_STRING: Final = 4096
 MAX_STRING_S: Final = 0.1
-"""Limits on an OSC or DCS string [characters, s]; beyond them, a key such as Alt-] was pressed."""
+"""Limits on an OSC or DCS string [characters, s]; beyond them, it was a key such as Alt-]."""
 
 ANSWER: Final = "answer"
-"""The `Key.name` of a terminal's answer to the query `CSI ? u`, which is parsed like a key."""
+"""The `Key.name` of a terminal's answer to the query `CSI ? u`."""
 
 _SEQUENCE = re.compile(r"\x1b(?:\[([?<>=]?)([\d:;]*)|(O))([@-~])")
 _BEGUN = re.compile(r"\x1b(?:\[[?<>=]?[\d:;]*|O)?")
@@ -137,11 +136,11 @@ _PASTE, _PASTE_END = "\x1b[200~", "\x1b[201~"
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
 _CONTROL_BIT = 4
 _SURROGATES_AND_ABOVE = 0xD800
-"""Keys with this code or a higher one are ignored: none of them is used here."""
+"""Keys with this code or a higher one are ignored."""
 
 
 class KeyEvent(Enum):
-    """A change of a key's state. Some terminals report repeats as presses, and no releases."""
+    """A change of a key's state; some terminals send repeats as presses, and no releases."""
 
     PRESSED = 1
     REPEATED = 2
@@ -149,9 +148,9 @@ class KeyEvent(Enum):
 
 
 class Key(NamedTuple):
-    """A key by its character, or `up`, `down`, `left`, `right`, or ANSWER.
+    """A key, named by its character, or `up`, `down`, `left`, `right`, or ANSWER.
 
-    `is_text` is True if the key came in a form without a release event, as pasted text does.
+    `is_text` is True if no release of the key will follow, as for pasted text.
     """
 
     name: str
@@ -161,10 +160,10 @@ class Key(NamedTuple):
 
 
 class KeyParser:
-    """Turns the text that is read from a terminal into keys.
+    """Turns the text from a terminal into keys.
 
-    It knows the escape sequences of xterm and of the kitty keyboard protocol. It skips all others,
-    control strings (OSC, DCS), and pasted text between the marks of bracketed paste.
+    Only sequences of xterm and of the kitty keyboard protocol become keys. Text pasted between the
+    marks of bracketed paste is skipped.
     """
 
     def __init__(self) -> None:
@@ -173,7 +172,7 @@ class KeyParser:
         self._is_pasted = False
 
     def feed(self, text: str, now_s: float) -> Iterator[Key]:
-        """Yield the keys in `text`, read at `now_s`; a key's sequence may end in the next text."""
+        """Yield the keys in `text`, read at `now_s`; a sequence may continue in the next text."""
         if not self._rest:
             self._rest_s = now_s
         text, self._rest = self._rest + text, ""
@@ -210,7 +209,7 @@ class KeyParser:
 
 
 def _key(private: str, numbers: str, is_single_shift: str, final: str) -> Iterator[Key]:
-    """Yield the key that an escape sequence with these parts stands for, if it stands for one."""
+    """Yield the key of an escape sequence with these parts, if there is one."""
     codes = [part.split(":") for part in numbers.split(";")]
     modifiers, event = 1, KeyEvent.PRESSED
     if len(codes) > 1:
@@ -229,10 +228,10 @@ def _key(private: str, numbers: str, is_single_shift: str, final: str) -> Iterat
 
 
 ANSWER_S: Final = 0.3
-"""How long a terminal may take to answer [s]; if it is slower, it is used without releases."""
+"""The timeout of a terminal's answer [s]; a slower terminal is used without releases."""
 
 _ASK: Final = b"\x1b[?u\x1b[c"
-"""Asks for the keyboard flags, then for the terminal's type, which every terminal answers."""
+"""Asks for the keyboard flags, then for the type of the terminal."""
 
 _BEGIN: Final = b"\x1b[>11u"
 """Push flags: unambiguous codes (1), events (2), for all keys (8)."""
@@ -241,27 +240,26 @@ _END: Final = b"\x1b[<u"
 
 _MARK_PASTES: Final = b"\x1b[?2004h"
 _MARK_NO_PASTES: Final = b"\x1b[?2004l"
-"""Switch the marks of pastes on and off; a terminal without such marks ignores both."""
+"""Switch the marks of pastes on and off."""
 
 _IS_KNOWN: Final = re.compile(rb"\x1b\[\?\d+u")
 _IS_ANSWERED: Final = re.compile(rb"\x1b\[\?[\d;]*c")
 
 
 class ReleaseEvents:
-    """A context in which the terminal reports key releases; `told` is False if it cannot.
+    """A context in which the terminal reports key releases and marks pasted text.
 
-    If the terminal can mark pasted text, it does that as well. Use this in a `Keyboard` context.
-    `suspend` and `resume` enclose the time in which another program uses the terminal.
+    `told` is False if the terminal reports no releases. Use this inside a `Keyboard` context.
     """
 
     def __init__(self, keys_from: int, drawn_on: int) -> None:
-        """Read answers from `keys_from` (-1 if there are no keys), and write to `drawn_on`."""
+        """Read answers from the descriptor `keys_from` (-1: no keys), and write to `drawn_on`."""
         self._keys_from = keys_from
         self._drawn_on = drawn_on
         self.told = False
 
     def __enter__(self) -> Self:
-        """Ask whether the terminal can report releases, and switch on what it can."""
+        """Switch on paste marks, and release events if the terminal reports them."""
         if self._keys_from >= 0:
             self.told = self._can_tell()
             self.resume()
@@ -277,7 +275,7 @@ class ReleaseEvents:
             self._write((_END if self.told else b"") + _MARK_NO_PASTES)
 
     def resume(self) -> None:
-        """Switch on paste marks, and release events as well if the terminal reports them."""
+        """Switch on paste marks, and release events if the terminal reports them."""
         if self._keys_from >= 0:
             self._write((_BEGIN if self.told else b"") + _MARK_PASTES)
 
@@ -298,18 +296,14 @@ class ReleaseEvents:
 
 
 ASK_EACH_S: Final = 0.025
-"""The least time between questions [s]: a fifth of MAX_SILENCE_S, after which the robot stops."""
+"""The minimum time between questions [s]: a fifth of MAX_SILENCE_S."""
 
 _ASK_FLAGS: Final = b"\x1b[?u"
-"""Asks for the keyboard flags: only a terminal that can report releases answers."""
+"""Asks for the keyboard flags."""
 
 
 class TerminalAnswers:
-    """A context in which `ask` probes the terminal; `KeyParser` yields each answer as ANSWER.
-
-    The question goes through a separate, non-blocking descriptor. So a terminal that accepts no
-    data delays no key.
-    """
+    """A context in which `ask` probes the terminal; `KeyParser` yields each answer as ANSWER."""
 
     def __init__(self) -> None:
         self._file = -1
@@ -317,6 +311,7 @@ class TerminalAnswers:
 
     def __enter__(self) -> Self:
         """Open the controlling terminal."""
+        # A descriptor of its own, non-blocking: a terminal that accepts no data delays no key.
         self._file = os.open("/dev/tty", os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
         return self
 
@@ -325,7 +320,7 @@ class TerminalAnswers:
         os.close(self._file)
 
     def ask(self) -> None:
-        """Send the query to the terminal, unless the last one was sent less than ASK_EACH_S ago."""
+        """Send the query to the terminal, at most once in ASK_EACH_S."""
         now_s = time.monotonic()
         if now_s - self._asked_s >= ASK_EACH_S:
             self._asked_s = now_s

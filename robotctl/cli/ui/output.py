@@ -15,10 +15,9 @@ from robotctl.cli.ui.text import is_terminal, json_text, printable
 
 
 def report(error: BaseException, *, as_json: bool) -> int:
-    """Print why a command failed, and return the exit code of its process.
+    """Print the reason of a failure to stderr, and return the exit code of the process.
 
-    The sentence for people goes to stderr. With `as_json`, stdout gets one object as well: the
-    partial answer that the error carries, with the key `error`.
+    With `as_json`, stdout gets the error's partial answer with the key `error`.
     """
     failure = _as_robotctl_error(error)
     if as_json:
@@ -35,10 +34,8 @@ def report(error: BaseException, *, as_json: bool) -> int:
 
 
 def drop_output(stream: TextIO) -> None:
-    """Discard the text that `stream` has buffered.
-
-    Otherwise Python would try to write the text again at exit, and exit with 120.
-    """
+    """Discard the text that `stream` has buffered."""
+    # Otherwise Python would write the text again at exit, and exit with 120.
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
@@ -81,10 +78,9 @@ def print_answer(
     as_json: bool,
     error: RobotctlError | None = None,
 ) -> None:
-    """Print the answer, as one line of JSON or as lines of text, then raise `error` if given.
+    """Print the answer as one line of JSON or as lines of text, then raise `error` if given.
 
-    With `as_json`, the error carries the answer, so that stdout gets a single object. The error is
-    raised even if the reader of stdout has closed the pipe: the error sets the exit code.
+    With `as_json`, nothing is printed before an error: the error carries the answer.
     """
     if error is not None and as_json:
         error.answer = answer
@@ -106,7 +102,7 @@ REDRAW_S: Final = 0.1
 
 @contextmanager
 def progress_bar(label: str, *, quiet: bool) -> Iterator[Progress]:
-    """Yield a function that draws the progress on a terminal; remove the bar at the end."""
+    """Yield a function that draws the progress on a terminal."""
     if quiet or not is_terminal():
         yield lambda done, total: None
         return

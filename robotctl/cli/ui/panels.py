@@ -31,13 +31,13 @@ _MAX_TOPICS = 12
 _BESIDE_WIDTH = 38
 _NAME_WIDTH_BESIDE = 18
 _MAX_TOPICS_BESIDE = 8
-"""Maximum number of topics shown without a map and beside a map: the view fits into 24 lines."""
+"""Maximum number of topics without a map and with a map, for a view of 24 lines."""
 
 
 def live_view(status: Status, beside: RenderableType | None = None) -> RenderableType:
     """Return mode, pose, speed, battery, recorder and topics in one panel.
 
-    If `beside` is given, it is drawn to the left of the topics, and fewer topics are shown.
+    `beside` is drawn to the left of the topics; fewer topics are then shown.
     """
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="dim")
@@ -96,11 +96,11 @@ def _topics(topics: list[TopicAnswer], most: int, name_width: int | None = None)
 _BARS: Final = " ▁▂▃▄▅▆▇█"
 
 HISTORY: Final = 20
-"""The number of values in a sparkline: at ten per second, those of the last 2 s."""
+"""The number of values in a sparkline."""
 
 _OTHER_LINES: Final = 16
 _MAP_ROWS: Final = range(5, 15)
-"""Limits on the height of the map [lines]; its width is at most twice as many columns."""
+"""Limits on the height of the map [lines]."""
 
 
 class History:
@@ -111,7 +111,7 @@ class History:
         self.errors: deque[float] = deque(maxlen=HISTORY)
 
     def add(self, status: Mapping[str, Any]) -> None:
-        """Add speed and cross-track error of `status`; if the error is missing, clear `errors`."""
+        """Add speed and cross-track error of `status`; without an error, clear `errors`."""
         self.speeds.append(_finite((status.get("velocity") or {}).get("linear")))
         error_m = (status.get("drive") or {}).get("cross_track_m")
         if error_m is None:

@@ -13,15 +13,14 @@ from robotctl.cli.ui.text import printable
 
 
 def is_hidden(name: str) -> bool:
-    """Return whether ROS tools leave the name out of their lists: a part of it begins with _."""
+    """Return whether a part of the name begins with _."""
     return "/_" in name
 
 
 def print_names(graph: Any, kind: str, *, every: bool, as_json: bool, types: bool = False) -> None:
     """Print the names of a `kind` in a Graph: topics, services or nodes.
 
-    Hidden names are left out unless `every`; with `types`, each name has its types in brackets. If
-    the graph was too large for the answer, a last line says how many names it left out.
+    With `every`, hidden names are printed, too; with `types`, each name has its types in brackets.
     """
     found = [(each if kind == "nodes" else each["name"], each) for each in graph[kind]]
     listed = [(name, each) for name, each in found if every or not is_hidden(name)]
@@ -35,7 +34,7 @@ def print_names(graph: Any, kind: str, *, every: bool, as_json: bool, types: boo
 
 
 SHOWN_LENGTH: Final = 128
-"""How many items of a list, or characters of a text, are shown, as in `ros2 topic echo`."""
+"""The maximum number of items of a list or characters of a text, as in `ros2 topic echo`."""
 
 _CUT: Final = "..."
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_/]*")
@@ -47,7 +46,7 @@ _WORDS = frozenset({"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 def message_lines(value: Any, limit: int | None = SHOWN_LENGTH) -> Iterator[str]:
     """Yield a ROS message, or a field of a message, as lines of YAML.
 
-    At most `limit` items of a list or characters of a text are shown, then `...`; None shows all.
+    At most `limit` items of a list or characters of a text are shown; None shows all.
     """
     if isinstance(value, Mapping) and value:
         for name, inner in value.items():

@@ -26,10 +26,7 @@ _INDENT_AND_GAPS = 5
 
 
 def topic_table(topics: Iterable[tuple[object, object, object, object]]) -> list[str]:
-    """Return a header and a line for each topic: its name, type, message count and rate [Hz].
-
-    The type column gets the width that the names leave free, and shows no `/msg`.
-    """
+    """Return a header and a line for each topic: its name, type, message count and rate [Hz]."""
     rows: list[tuple[object, object, object, str]] = [("topic", "type", "count", "Hz")]
     for name, kind, count, hertz in topics:
         rate = number(hertz, ".1f")
@@ -84,7 +81,7 @@ def is_observer(status: Mapping[str, Any]) -> bool:
 
 
 def status_rows(status: Status) -> Iterator[tuple[str, str]]:
-    """Yield the label and the unwrapped text of each row; reason and topics are not among them."""
+    """Yield the label and the text of each row, except for reason and topics."""
     if not is_observer(status):
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)
@@ -124,10 +121,7 @@ def pose_text(status: Mapping[str, Any]) -> str:
 
 
 def drive_lines(drive: Mapping[str, Any]) -> Iterator[str]:
-    """Yield lines about a drive: what is driven and, if known, how far off its path the robot is.
-
-    The lines may have a closure: the distance to the end of the path when the last lap ended.
-    """
+    """Yield lines about a drive and its errors [m, rad]."""
     now, rms, worst, true_m, heading, most, closure = (
         number(drive.get(key), ".3f")
         for key in (

@@ -14,7 +14,7 @@ from robotctl.base.text import printable as printable
 COLUMNS = 80
 
 UNLIMITED = 1 << 20
-"""The width without a terminal: lines are neither cut nor wrapped, for other programs."""
+"""The width without a terminal."""
 
 _YEAR_10000_S = 253_402_300_800
 """The end of the year 9999, in seconds since the epoch."""
@@ -26,16 +26,16 @@ def json_text(value: object) -> str:
 
 
 def elided(text: object, width: int) -> str:
-    """Return `text` in at most `width` columns, cut in the middle, where names differ least."""
+    """Return `text` in at most `width` columns, with `..` in place of its middle."""
     line = printable(text)
     if len(line) <= width:
         return line
-    head = (width - 2) // 2
+    head = (width - 2) // 2  # names differ least in the middle
     return f"{line[:head]}..{line[len(line) - (width - 2 - head) :]}"
 
 
 def row(label: str, text: object) -> Iterator[str]:
-    """Yield a label with its text; a long text is wrapped into a column after the label."""
+    """Yield a label with its text, wrapped into a column after the label."""
     line, width = printable(text), columns() - len(label)
     if len(line) <= width:
         yield f"{label}{line}"
@@ -48,7 +48,7 @@ def row(label: str, text: object) -> Iterator[str]:
 
 
 def short_path(path: object) -> str:
-    """Return a path, relative if it is below the working directory."""
+    """Return a path, relative to the working directory if it is below."""
     text = str(path)
     if "://" in text:
         return printable(text)

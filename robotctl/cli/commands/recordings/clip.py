@@ -256,13 +256,10 @@ def recover(
 
 
 def _beside(source: Path) -> Path:
-    """Return the default target: next to the source, but outside a rosbag2 folder.
-
-    Inside that folder, a reader would treat the copy as a part of the bag.
-    """
+    """Return the default target: next to the source, but outside a rosbag2 folder."""
     folder = source.parent
     if (folder / "metadata.yaml").exists():
-        folder = folder.parent
+        folder = folder.parent  # inside, a reader would treat the copy as a part of the bag
     plain = Path(source.name.removesuffix(".zstd"))  # the copy is no .zstd file
     return folder / f"{plain.stem}_recovered{plain.suffix}"
 

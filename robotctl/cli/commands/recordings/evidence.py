@@ -98,11 +98,11 @@ def evidence(
 def _recordings(
     robot: str, told: Evidence, found: Evidence, elsewhere: Path | None, since_ns: int
 ) -> Iterator[dict[str, Any]]:
-    """Yield each recording that the journal names, then the robot's others in the same folders.
+    """Yield each recording in the journal of decisions, then the robot's others beside these.
 
-    `told` has the facts of the whole journal of decisions, `found` only those since `since_ns`. A
-    recording that ended before `since_ns` is left out, unless `found` names it. A recording that
-    is no longer at the path in the journal is searched in `elsewhere`.
+    `told` has the facts of the whole journal, `found` those since `since_ns`. An earlier recording
+    is left out, unless `found` names it. A recording that is missing at its path is searched in
+    `elsewhere`.
     """
     wanted = set(found.recordings())
     removed = {Path(str(item.get("file"))).parent.name for item in told.removed}
@@ -128,7 +128,7 @@ def _recordings(
 
 
 def _looked_at(path: Path) -> dict[str, Any]:
-    """Return a recording's object in `--json`, without verdicts: `_prove` adds them later."""
+    """Return a recording's object in `--json`, without verdicts."""
     from robotctl.recording.keep.listing import list_recording
 
     item = {"path": str(path), "state": _MISSING, "named": True}
@@ -143,10 +143,9 @@ def _looked_at(path: Path) -> dict[str, Any]:
 
 
 def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]:
-    """Yield the digest that each file notes, and the time when the file begins [ns].
+    """Yield the digest of the journal of decisions in each file, and the file's begin [ns].
 
-    The digest is that of the journal of decisions at this time, None in a file of an early version
-    of robotctl. If `robot` is given, files of other robots are skipped.
+    Files of an early version have None. If `robot` is given, files of other robots are skipped.
     """
     from robotctl.recording import read_info
     from robotctl.recording.format.names import INFO_RECORD
@@ -161,7 +160,7 @@ def _heads(recording: Path, robot: str = "") -> Iterator[tuple[str | None, int]]
 
 
 def _knows_more(recording: Path, log: LogContent) -> bool:
-    """Return whether a file of `recording` notes a digest that the journal of decisions lacks."""
+    """Return whether a file of `recording` has a digest that the journal of decisions lacks."""
     first_ns = log.entries[0].time_ns if log.begins_later and log.entries else -1
     return any(
         head and head not in log.heads and start_ns > first_ns
@@ -230,7 +229,7 @@ def _gravest(
 
 
 MOST_SHOWN: Final = 50
-"""Maximum number of items printed of a list: the last items, or the first flaws of the journal."""
+"""The maximum number of printed items of a list: the last items, or the first flaws."""
 
 _INDENT = "  "
 

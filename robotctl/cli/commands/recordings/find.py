@@ -1,7 +1,4 @@
-"""index, find: write an index of each recording, and query all indexes together.
-
-`find --open N` makes a report or a clip of the recording in row N, at the row's time.
-"""
+"""index, find: write an index of each recording, and query all indexes together."""
 
 from __future__ import annotations
 
@@ -33,13 +30,13 @@ SHOWN = {
     "events": ("recording", "start_ns", "event", "text"),
     "topics": ("recording", "topic", "messages", "lost", "rate_hz"),
 }
-"""The columns of each table that are printed as text; `--json` has all."""
+"""The columns of each table in the text; `--json` has all."""
 
 LEAST_WIDTH = 10
 
 AROUND_DRIVE_S: Final = (2.0, 2.0)
 AROUND_EVENT_S: Final = (30.0, 5.0)
-"""How much a clip has before and after a drive, and before and after an event [s]."""
+"""The time in a clip before and after a drive, and before and after an event [s]."""
 
 DISPLAYS: Final = ("DISPLAY", "WAYLAND_DISPLAY")
 
@@ -185,7 +182,7 @@ def _open(
 
     Raises:
         Refused: There is no such row, or its recording does not exist any more.
-        UsageError: The row names no recording, or has no time and so cannot be clipped.
+        UsageError: The row names no recording, or has no time for a clip.
         RobotctlError: The command failed.
     """
     if not 1 <= number <= len(rows):

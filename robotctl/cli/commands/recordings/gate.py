@@ -147,7 +147,11 @@ def _recordings(place: Path) -> list[Path]:
 
 
 def _check_writable(path: Path) -> None:
-    """Raise Refused if the file `path` cannot be written; leave its content as it is."""
+    """Check that the file `path` can be written; its content does not change.
+
+    Raises:
+        Refused: The file cannot be written.
+    """
     existed = path.exists()
     try:
         with path.open("a"):
@@ -163,7 +167,7 @@ def _cannot_write(path: Path, error: OSError) -> Refused:
 
 
 def _user() -> str:
-    """Return the name of this user; the uid if it has no name, as may be in a container."""
+    """Return the name of this user, or the uid of a user without a name."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -179,7 +183,7 @@ def _accept(report: GateReport, known: Baseline, baseline: Path, by: str, why: s
 
 
 def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlError | None:
-    """Return why the gate fails, None if it passes; `problems` are errors of writing files."""
+    """Return the error of a gate that fails, or None; `problems` are errors of writing files."""
     also = "".join(f"; {problem}" for problem in problems)
     if failures := report.failures():
         return Divergence(f"{len(failures)} of {len(report.results)} recordings do not pass{also}")
@@ -194,13 +198,13 @@ def _error(report: GateReport, problems: Sequence[RobotctlError]) -> RobotctlErr
 
 
 MAX_NAMED = 5
-"""Maximum number of recordings printed for each cause, and of drives; `--json` has all."""
+"""Maximum number of recordings printed for each cause, and of drives."""
 
 OPEN_LOOP = "the robot does not react, so how far and how well it would drive is not known"
 
 
 def answer_object(place: Path, report: GateReport) -> dict[str, Any]:
-    """Return the object that `robotctl gate --json` prints; `place` is the folder."""
+    """Return the object of `robotctl gate --json`; `place` is the folder."""
     failures, unknown, totals = report.failures(), report.unknown(), report.totals()
 
     def state(path: Path) -> str:
@@ -234,7 +238,7 @@ def answer_object(place: Path, report: GateReport) -> dict[str, Any]:
 
 
 def answer_lines(place: Path, report: GateReport) -> Iterator[str]:
-    """Yield the lines that `robotctl gate` prints without `--json`."""
+    """Yield the lines of `robotctl gate` without `--json`."""
     counted = ", ".join(f"{count} {verdict}" for verdict, count in report.counts().items() if count)
     total = len(report.results)
     yield from row("", f"{short_path(place)}: {total} recordings: {counted or 'none'}")
