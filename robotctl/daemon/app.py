@@ -45,7 +45,7 @@ from robotctl.ros.nodes.velocity_publisher import is_monitor
 from robotctl.ros.session import RECORDER_NODE, ros_session
 
 PROBE_NODE = "_command_probe"
-"""Name of the hidden node that finds out to which command type the robot subscribes."""
+"""Name of the hidden node that reads the robot's command type from the graph."""
 
 
 async def choose_command_type(host: Host) -> CommandType:
@@ -78,7 +78,7 @@ async def _taken_type(host: Host, command: CommandParams) -> CommandType:
 
 
 STABLE_S: Final = 0.6
-"""After this time without a new node, discovery is complete: daemons announce every 0.5 s."""
+"""Discovery is complete after this time without a new node; daemons announce every 0.5 s."""
 
 LOOK_S: Final = 0.05
 
@@ -86,8 +86,7 @@ LOOK_S: Final = 0.05
 async def refuse_same_names(host: Host) -> None:
     """Refuse to start if another daemon in the domain has a `mode_service` of the same full name.
 
-    Two such daemons would serve the same requests and command the same robot. This function waits
-    until the nodes of the domain are discovered; this daemon must not have a publisher yet.
+    Call this before the daemon has a publisher. Waits for the discovery of the domain's nodes.
 
     Raises:
         Refused: There is such a daemon, and `--allow-same-names` is not set.
@@ -122,7 +121,7 @@ async def refuse_same_names(host: Host) -> None:
 
 
 OF_ONE_START: Final = ("directory", "git.directory", "user")
-"""Keys of `provenance` that describe one start of the daemon; the others describe the software."""
+"""Keys of `provenance` that describe one start of the daemon, not its software."""
 
 
 def _note_start(
@@ -148,7 +147,7 @@ def _note_start(
 async def noted(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> AsyncIterator[None]:
-    """Log the daemon's start and, after the block, its end or failure; then close `log`."""
+    """Log the daemon's start, run the block, log the end or failure and close `log`."""
     _note_start(log, options, config, recorder)
     recorder.tidier.on_removed = lambda path: log.add(DecisionKind.REMOVED, file=path)
     failure: dict[str, str] = {}
@@ -165,10 +164,10 @@ async def noted(
 async def serve(
     options: DaemonOptions, notes: list[str], on_ready: Ready, at_end: ExitStack
 ) -> None:
-    """Run the daemon until it is stopped; when it is ready, call `on_ready` with its summary.
+    """Run the daemon until it is stopped.
 
-    `notes` are sentences for the summary. The caller owns the robot's lock; after `serve` ends, the
-    caller closes `at_end`, which leaves the ROS domain.
+    `on_ready` is called with a summary that contains `notes`. The caller owns the robot's lock, and
+    closes `at_end` afterwards to leave the ROS domain.
 
     Raises:
         RobotctlError: The daemon cannot start, or ran out of memory.

@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a daemon; if `sim` is None, simulate unless a node publishes odometry."""
+    """The options of a daemon. If `sim` is None, it simulates unless odometry has a publisher."""
 
     robot: str
     config: Path | None
@@ -35,7 +35,7 @@ class DaemonOptions:
     """`include` and `exclude` are topic patterns, added to those of the configuration."""
 
     ros_namespace: str | None = None
-    """The value of `--namespace`; if None, `--ros-args` or the robot's name gives the namespace."""
+    """The value of `--namespace`, None if not given."""
 
     allow_same_names: bool = False
     """Start although another daemon runs whose nodes have the same names."""
@@ -55,7 +55,7 @@ class DaemonOptions:
         return namespace_of(self.robot)
 
     def applied_to(self, config: Config, warn: Callable[[str], object]) -> RosSettings:
-        """Return `config` and rcl's settings after `--ros-args` and the topic patterns are applied.
+        """Return the settings that `config`, `--ros-args` and the topic patterns give together.
 
         `warn` is called with a sentence for each retired key of the configuration.
 
@@ -127,7 +127,7 @@ def absolute(recordings: Path) -> Path:
 
 
 def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
-    """Return the patterns of a repeatable option; each use may have several, split by commas.
+    """Return the comma-separated patterns of all uses of an option.
 
     Raises:
         UsageError: A pattern is not allowed.

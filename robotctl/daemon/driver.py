@@ -71,20 +71,16 @@ from robotctl.ros.nodes.velocity_publisher import VelocityPublisher, command_top
 _log = logging.getLogger(__name__)
 
 READY_S = 10.0
-"""How long a start waits for the configured inputs (odometry, battery, scan, safety inputs) and a
-subscriber of the command. Discovery by Fast DDS takes up to 2.6 s; a robot may still boot."""
+"""Limit on a start's wait for its inputs and for a subscriber of the command."""
 
 
 class Driver:
     """Drives a robot and records its topics."""
 
     def __init__(self, host: Host, command: CommandType) -> None:
-        """Create the kernel, the ROS nodes and the recorder, and connect them.
-
-        A part that uses another part is created after it. Only control and recorder also use parts
-        that are created later: they get these as attributes, before the first event arrives.
-        """
+        """Create the kernel, the ROS nodes and the recorder, and connect them."""
         self._host, self._command = host, command
+        # Only control and recorder use parts that are created later: they get these as attributes.
         session, params, robot = host.session, host.config.kernel, host.options.robot
         say = partial(_sentence, robot=robot)
         self._simulated: SimulatedRobot | None = None
@@ -170,7 +166,7 @@ class Driver:
             self._report.drive_ended,
         ).carry_out
         recorder.on_failure = partial(host.supervisor.report_state, Cause.RECORDER_FAILED)
-        recorder.on_file = self._journal_snapshot
+        recorder.on_file = self._journal_snapshot  # a check needs one at the file's beginning
         recorder.sinks.on_news = self._diagnostics.publish
         if host.config.on_topic_trouble == "refuse":
             recorder.sinks.on_troubles = partial(host.supervisor.report_state, Cause.TOPIC_TROUBLE)
@@ -222,7 +218,7 @@ class Driver:
         return self._control.state.mode.name
 
     async def stop_robot(self) -> None:
-        """Command zero velocity, and wait until that is recorded; an exception is only logged."""
+        """Command zero velocity and wait for its recording; an exception is only logged."""
         try:
             send_zero(self._control, self._velocity)
             await last_zero_arrived(self._velocity, self._modes, self.recorder.received)
@@ -272,5 +268,5 @@ def _first_state(stop: LatchedStop | None, *, autostart: bool) -> State:
 
 
 def _sentence(reply: Reply, robot: str) -> str:
-    """Return a reply's message, followed by what the operator can do about it, if anything."""
+    """Return a reply's message with its advice to the operator, if any."""
     return advice(reply.message, reply.remedies, robot).sentence

@@ -1,4 +1,4 @@
-"""What the two daemons, driver and observer, share: their input (Host), tasks and diagnostics."""
+"""The input (Host), tasks and diagnostics of both daemons, driver and observer."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Host:
 
     supervisor: Supervisor
     discovered_by_s: float
-    """Until this steady time [s] at the latest, a start waits for the discovery of other nodes."""
+    """Steady time [s] at which a start stops waiting for other nodes."""
 
     stop: asyncio.Event
     """Set to end the daemon."""

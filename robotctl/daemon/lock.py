@@ -14,7 +14,7 @@ from robotctl.base.paths import make_private
 from robotctl.ipc.client import command_for
 
 PID_S = 1.0
-"""How long the owner, after it has locked the file, may take to write its pid into it."""
+"""Limit on the time from the lock to the owner's pid in the file."""
 
 
 @contextmanager
@@ -22,7 +22,7 @@ def owned(path: Path, robot: str) -> Iterator[None]:
     """Own the robot's lock within the block.
 
     Raises:
-        AlreadyRunning: Another daemon owns the lock; the message has its pid, or "unknown".
+        AlreadyRunning: Another daemon owns the lock.
     """
     make_private(path.parent)
     fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -68,7 +68,7 @@ def _locked(fd: int) -> bool:
 
 
 def _living_owner(fd: int) -> int:
-    """Return the pid in the file; 0 if the file has no pid yet, or the process has ended."""
+    """Return the pid of the lock's owner, 0 if the file has none or the process has ended."""
     try:
         pid = int(os.pread(fd, 20, 0))
         os.kill(pid, 0)

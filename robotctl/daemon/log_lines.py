@@ -1,7 +1,4 @@
-"""Log lines: their format, a filter for repeated ones, and the queues for stderr and for the loop.
-
-No logging call blocks on stderr, whose reader may be a terminal after Ctrl-S, or a hung disk.
-"""
+"""Log lines: their format, a filter for repeated ones, and queues for stderr and for the loop."""
 
 from __future__ import annotations
 
@@ -61,10 +58,7 @@ class _Burst:
 
 
 class Repeats:
-    """Passes only the first WRITTEN of several equal warnings or errors within WINDOW_S.
-
-    Equal records have the same logger, level, text and exception. Lower levels always pass.
-    """
+    """A filter that passes WRITTEN equal warnings or errors in WINDOW_S, and all lower levels."""
 
     def __init__(self) -> None:
         self._bursts: dict[tuple[str, int, str, str], _Burst] = {}
@@ -139,12 +133,7 @@ class LineHandler(QueueHandler):
 
 
 class _StderrListener(QueueListener):
-    """Writes the queued lines to stderr in a thread; the queue is a pipe, non-blocking for writers.
-
-    If stderr is a terminal, a pipe or a socket, the output of C and C++ libraries goes through the
-    queue as well. If stderr is a regular file, these libraries write to the file directly, so that
-    their last message before an abort is kept.
-    """
+    """Writes lines to stderr in a thread, from a pipe that does not block its writers."""
 
     def __init__(self) -> None:
         self.untaken = 0
@@ -155,6 +144,7 @@ class _StderrListener(QueueListener):
         os.set_blocking(self.writing, False)
         with suppress(OSError):  # the user's limit of pipe memory is reached: it stays small
             fcntl.fcntl(self.writing, fcntl.F_SETPIPE_SZ, CAPACITY_BYTES)
+        # C libraries write to a regular file directly: their last words before an abort are kept.
         if not stat.S_ISREG(os.fstat(_STDERR).st_mode):
             os.dup2(self.writing, _STDERR)
         no_queue: Any = None
@@ -237,10 +227,9 @@ class _StderrHandler(LineHandler):
 
 @contextmanager
 def log_to_stderr(line: str = _FORMAT) -> Iterator[None]:
-    """Log to stderr within the block; at its end, write the queue for at most 1 s.
+    """Log to stderr within the block; at its end, write the queue for at most FLUSH_S.
 
-    `line` is the format of a line, as for `logging.Formatter`. Lines that do not fit, or that
-    cannot be written to stderr, are counted and reported later.
+    `line` is a format of `logging.Formatter`. A later line reports the number of lost lines.
     """
     listener = _StderrListener()
     handler = _StderrHandler(listener, line)
@@ -270,10 +259,9 @@ Publish = Callable[[logging.LogRecord, str], None]
 
 
 class LoopHandler(LineHandler):
-    """Queues records from any thread without blocking; the loop publishes them.
+    """Publishes the records of all threads in the loop, without blocking these threads.
 
-    Lines that do not fit or cannot be published are counted, and a later line reports the count.
-    Records that are logged by the publishing itself are ignored: each would cause another one.
+    A later line reports the number of lost lines. Records of `publish` itself are ignored.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, publish: Publish) -> None:

@@ -30,7 +30,7 @@ Setting = tuple[str, Any]
 
 
 class Parameters:
-    """Owns the present configuration, except for the kernel's parameters, which the kernel owns."""
+    """Owns the present configuration except the kernel's parameters."""
 
     def __init__(
         self, config: Config, control: Control, on_change: Callable[[Config], None]
@@ -126,9 +126,8 @@ def serve_parameters(session: Session, parameters: Parameters, robot: str) -> No
 
 
 def _served_by(key: str, nodes: Container[str]) -> str:
-    """Return the node that declares a key: `node_of(key)`, or `mode_service` if `nodes` lacks it.
-    For a key of the simulated robot, return the simulated robot even if `nodes` lacks it."""
-    node = node_of(key)
+    """Return the name of the node that serves a key."""
+    node = node_of(key)  # keys of a simulated robot that does not run are not served
     return node if node in nodes or node == SIMULATED_ROBOT else MODE_SERVICE
 
 

@@ -78,10 +78,8 @@ class LoggerLevels:
         )
 
     def change(self, name: str, level: int, source: str) -> str:
-        """Set the level of a logger in Python and in rcl; return "" or the reason for a refusal.
-
-        rcl's default level is never changed: at DEBUG, rcl writes two lines for each message.
-        """
+        """Set the level of a logger in Python and in rcl; return "" or the reason for a refusal."""
+        # rcl's default level stays: at DEBUG, rcl writes two lines for each message.
         refusal = self.refusal(name, level) or (set_native_level(name, level) if name else "")
         if not refusal:
             self.set(name, level, source)

@@ -12,21 +12,17 @@ STATUS_PERIOD_S = 1.0
 
 
 class ServiceManager:
-    """Sends reports to the socket of the service manager; without such a socket, does nothing.
-
-    The socket is opened once, so that later reports need no free descriptor. A report that cannot
-    be sent is dropped, as sd_notify(3) recommends.
-    """
+    """Sends reports to the service manager, if any; drops reports that cannot be sent."""
 
     def __init__(self) -> None:
-        """Open the socket; delete its environment variables, so that no child process reports."""
+        """Connect to the socket, and remove the manager's variables from the environment."""
         address = os.environ.pop("NOTIFY_SOCKET", "")
         watchdog = os.environ.pop("WATCHDOG_USEC", "")
         self._period_s = STATUS_PERIOD_S
         if watchdog.isdecimal() and int(watchdog):
             self._period_s = min(STATUS_PERIOD_S, int(watchdog) / 1e6 / 2.0)
         self._socket: socket.socket | None = None
-        if address.startswith(("/", "@")):
+        if address.startswith(("/", "@")):  # opened once: later reports need no free descriptor
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
             with suppress(OSError):
                 self._socket.connect(address.replace("@", "\0", 1))

@@ -34,10 +34,10 @@ async def stand_still(
     ramp_down_s: float = RAMP_DOWN_S,
     now_ns: Callable[[], int] = time.monotonic_ns,
 ) -> None:
-    """Ramp down or, after `ramp_down_s` without standstill, command zero. Then send one more zero.
+    """Ramp down, or command zero after `ramp_down_s` without standstill, and send a last zero.
 
-    From now on the kernel starts no motion. `published()` returns the number of commands sent. If
-    it does not grow, because memory or the middleware fails, zero is retried for LAST_ZERO_S.
+    The kernel starts no motion afterwards. `published()` returns the number of commands sent. A
+    last zero that is not sent is retried for LAST_ZERO_S.
     """
     control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, _ENDING))
     for mode in (Mode.IDLE, Mode.ERROR):
@@ -58,10 +58,7 @@ async def stand_still(
 
 
 def send_zero(control: Control, velocity: VelocityPublisher) -> None:
-    """Report the fault DAEMON_ENDS, which marks the end in the journal; then command zero velocity.
-
-    The kernel sends the zero in a tick. If it is MOVING or sends none, the zero is sent directly.
-    """
+    """Journal the daemon's end as a fault, and command zero velocity."""
     sent = velocity.published
     with suppress(Exception):  # the kernel may be what has failed
         control.dispatch(FaultReported(time.monotonic_ns(), Cause.DAEMON_ENDS, _ENDING))
@@ -75,17 +72,17 @@ DRAIN_S = 3.0
 """How long a stop waits until the recorder has received the last command."""
 
 ACKNOWLEDGED_S = 1.0
-"""How long a stop waits until the robot has acknowledged the last zero: Fast DDS discards it if the
-publisher is destroyed before. After this time, the robot's command timeout has stopped it."""
+"""How long a stop waits until the robot has acknowledged the last zero. Fast DDS discards the zero
+if the publisher is destroyed before."""
 
 
 async def last_zero_arrived(
     velocity: VelocityPublisher, modes: ModeService, received: Callable[[], Mapping[str, int]]
 ) -> None:
-    """Wait until the last command and status are recorded and the robot has received the command.
+    """Wait until the recorder has the last command and status, and the robot has that command.
 
-    `received()` returns how many messages of each topic the recorder has received. Log a warning
-    if a reliable subscriber does not acknowledge the last zero within ACKNOWLEDGED_S.
+    `received()` returns the recorder's number of messages by topic. The waits end after DRAIN_S and
+    ACKNOWLEDGED_S.
     """
 
     def is_recorded() -> bool:

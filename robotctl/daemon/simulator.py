@@ -27,10 +27,10 @@ async def simulate(
     at_end: ExitStack,
     only_if_missing: bool = False,
 ) -> None:
-    """Run the robot until a signal ends it; `on_ready` is called when it runs.
+    """Run a simulated robot until a signal ends it.
 
-    With `only_if_missing`, return without a robot if another node publishes the odometry topic.
-    Afterwards, the caller closes `at_end`, which leaves the ROS domain.
+    `on_ready` is called when the robot runs. With `only_if_missing`, none runs if the odometry
+    topic has a publisher. The caller closes `at_end` afterwards to leave the ROS domain.
     """
     stop = end_signals()
     topics = config.kernel

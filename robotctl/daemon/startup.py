@@ -36,9 +36,9 @@ class StartReport:
             os.set_inheritable(ready_fd, False)
 
     def send(self, report: Mapping[str, Any]) -> None:
-        """Send a report; on `ready_fd`, send only the first one.
+        """Send a report, on `ready_fd` only the first one.
 
-        If a ready daemon cannot write its report to `ready_fd`, it sends itself a SIGTERM.
+        If the report of a ready daemon cannot be written to `ready_fd`, SIGTERM ends the daemon.
         """
         line = f"{json.dumps(report)}\n".encode()
         if not self._in_background:  # stdout may block: the loop must not wait
@@ -69,7 +69,7 @@ class StartReport:
 
 
 def _write(descriptor: int, line: bytes) -> bool:
-    """Write the line; return False if that fails: the reader of `descriptor` has probably ended."""
+    """Write the line; return whether that succeeded."""
     try:
         os.write(descriptor, line)
     except OSError as error:
@@ -110,10 +110,10 @@ def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
 
 
 def allow_many_files() -> None:
-    """Raise the limit of open files to the hard limit: each recorded topic needs a descriptor.
+    """Raise the limit of open files to the hard limit.
 
     Raises:
-        Refused: The limit cannot be raised far enough.
+        Refused: The hard limit is too low.
     """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     if most != resource.RLIM_INFINITY and most < own_process.LEAST_OPEN_FILES:

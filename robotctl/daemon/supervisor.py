@@ -21,8 +21,7 @@ MAX_DETAIL = 1000
 """Limit on a fault's text in journal and status [characters]; the log has the full text."""
 
 RESERVE_BYTES = 16 * 1024 * 1024
-"""Size of a reserve that is released when memory runs out, so that the daemon can stop the robot
-and end. Its pages are never touched: it needs only address space."""
+"""Size of the reserve of address space for stopping the robot when memory runs out."""
 
 OUT_OF_MEMORY = "out of memory: the robot was stopped, and the daemon ends"
 
@@ -31,10 +30,10 @@ Work = Callable[[], Coroutine[Any, Any, None]]
 
 
 class Supervisor:
-    """Runs all tasks, and handles the exceptions that no other code handles.
+    """Runs all tasks, and reports their failures as faults.
 
-    A failed task is started again, so that status, stop and zeros stay available. Its fault lasts
-    until the daemon is restarted. When memory runs out, the robot is stopped and the daemon ends.
+    A failed task is started again; its fault lasts until the daemon is restarted. When memory runs
+    out, the robot is stopped and the daemon ends.
     """
 
     def __init__(self, end: Callable[[], None]) -> None:
@@ -65,11 +64,11 @@ class Supervisor:
             await asyncio.sleep(RESTART_S)
 
     def callback_failed(self, error: Exception, where: str) -> None:
-        """Handle an exception of a ROS callback: this is the executor's exception handler."""
+        """Handle an exception of a ROS callback, as the executor's exception handler."""
         self._report(error, f"the callback of {where} failed")
 
     def loop_failed(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Handle an exception that no task awaits: this is the loop's exception handler."""
+        """Handle an exception that no task awaits, as the loop's exception handler."""
         error = context.get("exception")
         if isinstance(error, Exception):
             self._report(error, str(context.get("message", "a callback failed")))
@@ -77,7 +76,7 @@ class Supervisor:
             loop.default_exception_handler(context)
 
     def report_state(self, cause: Cause, problem: str) -> None:
-        """Report the fault `cause`, such as an unreachable socket; if `problem` is "", clear it."""
+        """Report the fault `cause`, or clear it if `problem` is ""."""
         if self._dispatch is not None:
             now = time.monotonic_ns()
             fault = FaultReported(now, cause, problem[:MAX_DETAIL])

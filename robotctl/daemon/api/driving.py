@@ -65,7 +65,7 @@ def shape_size_m(params: DriveParams) -> float | None:
     """Return the requested size [m], or None if none was requested.
 
     Raises:
-        UsageError: A size was requested that the pattern does not have, such as a circle's side.
+        UsageError: The pattern has no size of the requested kind.
     """
     kind = params.pattern
     wanted = SHAPES[kind].size_name
@@ -82,7 +82,7 @@ def shape_size_m(params: DriveParams) -> float | None:
 
 
 def shape_course(params: DriveParams) -> Course:
-    """Return the `Course` for the pattern in `params`; values that are not given take defaults.
+    """Return the course of the pattern in `params`.
 
     Raises:
         UsageError: A corner radius or an angle was given, but the pattern has none.
@@ -140,9 +140,9 @@ class DrivingMethods:
         size_m: float | None = None,
         speed_mps: float | None = None,
     ) -> Pattern:
-        """Return a pattern. Each argument that is None is replaced by its configured value.
+        """Return a pattern, with configured values for arguments that are None.
 
-        If `kind` is not the configured kind, a missing size is the default size of `kind`.
+        The configured size applies to the configured kind only; other kinds have their own default.
 
         Raises:
             UsageError: The speed is above the configured limit.
@@ -256,14 +256,14 @@ class DrivingMethods:
         return result
 
     async def _end_drive(self, params: EndDriveParams) -> ModeAnswer:
-        """Ramp down; unlike a request for IDLE, never release an error or a latched stop."""
+        """Ramp down if the robot moves; otherwise do nothing."""
         state = self._control.state
-        if state.mode is not Mode.MOVING:
+        if state.mode is not Mode.MOVING:  # a request for IDLE would release an error or a stop
             return {"message": f"The robot stands, in {state.mode.name}", "mode": state.mode.name}
         return granted(await self._control.request(self._idle_request(params.source)), self._robot)
 
     async def _hold(self, params: HoldParams) -> HoldAnswer:
-        """Begin a motion or, if `params.hold` is its number, keep it going: silence ends it."""
+        """Begin a motion, or keep the motion with the number `params.hold` going."""
         if params.hold:
             return self._hold_again(params)
         now_ns, request_id = self._control.stamp()

@@ -44,8 +44,8 @@ class _Holder:
 class LeaseMethods:
     """The handlers of the lease's methods.
 
-    A lease ends when its holder releases it, closes the connection on which it called `lease_take`,
-    or does not call `lease_keep` for SILENT_PERIODS periods of `listen_s` [s]: it may be frozen.
+    A lease ends by its release, with the connection of `lease_take`, or after SILENT_PERIODS
+    periods of `listen_s` [s] without a `lease_keep`.
     """
 
     def __init__(
@@ -95,12 +95,8 @@ class LeaseMethods:
         raise Refused(f"{params.source} lost the lease: {how}", "take it again")
 
     async def _until_silent(self, holder: _Holder) -> None:
-        """Wait until the lease is released, or SILENT_PERIODS periods pass without a `lease_keep`.
-
-        The limit is in periods, not seconds: while the loop is stalled, no period ends, and the
-        calls that arrive during the stall still count.
-        """
-        silent = 0
+        """Wait until the lease is released, or SILENT_PERIODS pass without a `lease_keep`."""
+        silent = 0  # in periods, not seconds: a stall of the loop must not end the lease
         while silent < SILENT_PERIODS and not holder.ended.done():
             holder.was_heard = False
             await asyncio.wait({holder.ended}, timeout=self._listen_s)

@@ -28,11 +28,7 @@ def simulation_methods(
     control: Control,
     mark: Callable[[str, str], object],
 ) -> dict[str, Method[Any]]:
-    """Return the socket methods `sim_set` and `sim_fault` by name.
-
-    `simulated()` returns the robot, or None if this daemon simulates none. `mark(text, source)`
-    adds a mark to the recording.
-    """
+    """Return the methods `sim_set` and `sim_fault`; `mark(text, source)` marks the recording."""
 
     def robot() -> SimulatedRobot:
         found = simulated()

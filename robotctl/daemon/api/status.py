@@ -82,8 +82,7 @@ class StatusSource:
         scheduling: str,
         warnings: Warnings,
     ) -> None:
-        """`scheduling` is how Linux schedules the loop's thread. `robot` is None in a daemon that
-        only observes: then the facts of the robot are null in `status`."""
+        """`scheduling` is the policy of the loop's thread. In an observer, `robot` is None."""
         self._options = options
         self.recording = recording
         self._robot = robot

@@ -1,8 +1,6 @@
 """The warnings that `robotctl status` and `/diagnostics` show, one sentence each.
 
-To add a warning, yield its sentence in `of_robot` or in `of_recording`; `record status` shows those
-of `of_recording` only. If a part of the daemon makes its own sentence, as it also logs the problem,
-append the function that returns the sentence (`PartWarning`) to `Host.warnings`.
+To add one, yield it in `of_robot` or `of_recording`, or append its function to `Host.warnings`.
 """
 
 from __future__ import annotations
@@ -55,8 +53,7 @@ _CHECKS = tuple(
 class Warnings:
     """Collects the warnings of a daemon; some suggest commands for `robot`.
 
-    Each function in `parts` returns the warning of one part of the daemon, or "". In a daemon that
-    only records, `control` is None, and `faults` has a sentence for each task that failed.
+    In an observer, `control` is None and `faults` has a sentence for each failed task.
     """
 
     def __init__(
@@ -93,7 +90,7 @@ class Warnings:
 
 
 def of_recording(recorder: FlightRecorder, stats: RecorderStats) -> Iterator[str]:
-    """Yield the warnings of the recorder: most are about messages that it could not record."""
+    """Yield the warnings of the recorder."""
     yield from (text for text in (stats.failure, stats.warning) if text)
     if stats.no_memory:
         yield f"{stats.no_memory} messages {NO_MEMORY}"

@@ -27,16 +27,13 @@ LINE_BYTES: Final = 128
 
 
 class ProcessorWait:
-    """Measures how long the thread that creates this object has waited for a CPU.
-
-    Any thread may call `waited_ns`. Linux's file `schedstat` is opened here and kept open, because
-    the process may run out of descriptors later.
-    """
+    """Reads the CPU waiting time of the thread that creates this object."""
 
     def __init__(self) -> None:
         self._account: int | None = None
         try:
             path = f"/proc/self/task/{threading.get_native_id()}/schedstat"
+            # Kept open: the process may run out of descriptors later.
             self._account = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         except OSError:  # this system has no accounting
             return
@@ -65,13 +62,13 @@ def pressure() -> str:
 
 
 STALL_S = 0.1
-"""The loop has stalled after this time without a tick, or STALL_TICKS if that is longer."""
+"""Least time without a tick after which the loop has stalled."""
 
 CONFIRM_S = 0.02
-"""After STALL_S, the watchdog waits this long for a late tick: a paused process may catch up."""
+"""How long the watchdog waits for a late tick of a paused process before it reports a stall."""
 
 STALL_TICKS = 2.5
-"""The loop has stalled after this many tick periods, or STALL_S if that is longer."""
+"""The least number of tick periods without a tick after which the loop has stalled."""
 
 ZERO_PERIOD_S = 0.05
 """Period of the zeros while the loop is stalled."""
@@ -100,12 +97,10 @@ class Gate(Protocol):
 
 
 class Watchdog:
-    """Watches the ticks in a thread, from the first `ping` to the end of the `with` block.
+    """Sends zeros from a thread, through `gate`, while the loop's ticks are missing.
 
-    When the ticks stop, the thread closes `gate` and sends zeros until the loop calls `take`.
-    Before the first zero is sent, the thread opens no file, imports no module and logs nothing. It
-    acquires only the publisher's lock, and waits at most `LOCK_TIMEOUT_S` for it. A C call that
-    holds the GIL blocks this thread too: then only the robot's own command timeout stops the robot.
+    The thread runs from the first `ping` to the end of the `with` block; the zeros end when the
+    loop calls `take`. A C call that holds the GIL blocks this thread too.
     """
 
     def __init__(
@@ -115,7 +110,7 @@ class Watchdog:
         now_ns: Callable[[], int] = time.monotonic_ns,
         ended: threading.Event | None = None,
     ) -> None:
-        """`ended` is set at the end of the block. The thread sleeps only in `ended.wait`."""
+        """The end of the block sets `ended`."""
         self._limit_ns = round(max(STALL_S, STALL_TICKS / rate_hz) * NS_PER_S)
         self._gate = gate
         self._now_ns = now_ns
@@ -155,7 +150,7 @@ class Watchdog:
     def take(self) -> LoopStalled | FaultReported | None:
         """Return LoopStalled after a stall, FaultReported if the thread failed, otherwise None.
 
-        After a stall, `gate` is opened. Call it in the loop's thread, and dispatch the event next.
+        Opens `gate` after a stall. Call it in the loop's thread, and dispatch the event next.
         """
         if self._holding:
             return self._end_stall()
@@ -183,7 +178,8 @@ class Watchdog:
         _log.warning("the loop stalled for %.2f s: %s", stalled_s, detail)
         return LoopStalled(now_ns, stalled_s, zeros, withheld, detail)
 
-    # In the watchdog's thread
+    # In the watchdog's thread. Before the first zero, it opens no file, imports and logs nothing,
+    # and acquires no lock but the publisher's.
 
     def _run(self) -> None:
         try:

@@ -29,17 +29,15 @@ class Journal:
     def __init__(
         self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0
     ) -> None:
-        """`write(serialized, seq)` gets each entry as a ROS message; `seq` counts them from 0.
-
-        `commands()` returns how many of the published commands are in the journal already.
-        """
+        """`write(serialized, seq)` gets each entry as a ROS message, with `seq` from 0.
+        `commands()` returns the number of published commands that the journal contains."""
         self._write = write
         self._commands = commands
         self._seq = 0
         self._crc = 0
 
     def snapshot(self, t_ns: int, kernel: Kernel) -> None:
-        """Write a snapshot of the kernel, from which a check can repeat the later decisions."""
+        """Write a snapshot of the kernel, from which a check can repeat later decisions."""
         proof = Proof(self._commands(), self._crc)
         self.add(t_ns, EntryKind.SNAPSHOT, Snapshot(MADE_BY, kernel.params, kernel.state, proof))
 
@@ -54,11 +52,11 @@ class Journal:
 
 @dataclass(frozen=True, slots=True)
 class UnsavedReply(Reply):
-    """The reply to a stop that happened but was not saved: a restart would forget the stop."""
+    """The reply to a stop that happened but could not be saved."""
 
 
 def granted(reply: Reply, robot: str) -> ModeAnswer:
-    """Return the answer to a request that was granted; errors suggest commands for `robot`.
+    """Return the answer to a granted request.
 
     Raises:
         Refused: The kernel refused the request.
@@ -81,21 +79,21 @@ class Pending(Generic[T]):
         self._waiting: dict[int, asyncio.Future[T]] = {}
 
     def expect(self, request_id: int) -> asyncio.Future[T]:
-        """Return a future that `settle` sets to the reply to a request, or the end of its drive."""
+        """Return the future whose result `settle` sets for this request."""
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         self._waiting[request_id] = future
         future.add_done_callback(lambda _: self._waiting.pop(request_id, None))
         return future
 
     def settle(self, result: T) -> None:
-        """Set the result of the future that `expect` has returned for this request, if any."""
+        """Set the result of the request's future, if any."""
         future = self._waiting.get(result.request_id)
         if future is not None and not future.done():
             future.set_result(result)
 
 
 class PendingRequests:
-    """The ids of requests, and the futures of their replies and of the ends of their drives."""
+    """Request ids, and the futures of replies and of ends of drives."""
 
     def __init__(self) -> None:
         self.replies: Pending[Reply] = Pending()
@@ -109,29 +107,29 @@ class PendingRequests:
         return self._last_id
 
     def expect_reply_now(self, request_id: int) -> None:
-        """Expect a reply during the next dispatch; the caller then gets it from `reply_now`."""
+        """Expect the request's reply during the next dispatch, for `reply_now`."""
         self._replies_now[request_id] = None
 
     def keep_now(self, reply: Reply) -> bool:
-        """Keep `reply` if `expect_reply_now` was called for its request; return whether it was."""
+        """Keep a reply that `expect_reply_now` announced; return whether it was announced."""
         is_expected = reply.request_id in self._replies_now
         if is_expected:
             self._replies_now[reply.request_id] = reply
         return is_expected
 
     def reply_now(self, request_id: int) -> Reply:
-        """Return the reply that `keep_now` has kept."""
+        """Return the reply that `keep_now` kept."""
         reply = self._replies_now.pop(request_id)
         assert reply is not None, "the request was dispatched while another event was handled"
         return reply
 
 
 SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
-"""The period of snapshots: to check one decision, no more than this time must be repeated."""
+"""Period of snapshots, and so the most time that a check of one decision must repeat."""
 
 
 class Control:
-    """The owner of the kernel. `dispatch` is synchronous, for the loop's thread only.
+    """Owns the kernel; for the loop's thread only.
 
     An event that is dispatched while another event is handled waits in a FIFO. Each event is
     journaled before the kernel handles it, each effect after it was carried out or has failed.
@@ -146,12 +144,9 @@ class Control:
         urgent: Callable[[], Event | None] = lambda: None,
         asked: Callable[[Request], None] = lambda request: None,
     ) -> None:
-        """`on_failure(error, where)` is called for an effect that could not be carried out.
-
-        `urgent()` is called before each event that does not wait in the FIFO. It returns None or an
-        event that the kernel must handle first, such as a stall of the loop. `asked(request)` is
-        called for each request before it is dispatched.
-        """
+        """`on_failure(error, where)` is called for a failed effect, `asked(request)` for each
+        request before its dispatch. `urgent()` returns an event to handle before the dispatched
+        one, or None."""
         self._kernel = kernel
         self._journal = journal
         self.carry_out: Callable[[Effect], None] = _nothing_yet
@@ -193,15 +188,12 @@ class Control:
             self._busy = False
 
     def journal_snapshot(self, t_ns: int) -> None:
-        """Write a snapshot of the kernel into the journal now; `dispatch` repeats it every 10 s.
-
-        A file that begins with a snapshot can be checked without the files before it.
-        """
+        """Write a snapshot of the kernel into the journal now; `dispatch` repeats it every 10 s."""
         self._snapshot_t_ns = t_ns
         self._journal.snapshot(t_ns, self._kernel)
 
     def stamp(self) -> tuple[int, int]:
-        """Return the steady time [ns] and a new request id: the first two fields of a request."""
+        """Return the first two fields of a request, the steady time [ns] and a new id."""
         return time.monotonic_ns(), self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
@@ -227,7 +219,7 @@ class Control:
         return self._requests.reply_now(event.request_id)
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
-        """Return a future that is set when the drive that `request_id` starts has ended."""
+        """Return the future of the end of the request's drive."""
         return self._requests.ends.expect(request_id)
 
     def _step(self, event: Event) -> None:

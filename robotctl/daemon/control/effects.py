@@ -51,10 +51,10 @@ class Effects:
     """Returns the errors of a simulated robot by its true pose, None if they are unknown."""
 
     measured: Callable[[DriveEnded], DriveEnded] = lambda ended: ended
-    """Returns an ended drive or, if no error was measured, a copy whose errors are NaN."""
+    """Returns an ended drive, with NaN for errors that were not measured."""
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect; a reply waits, at most DISK_S, until the latch is on the disk."""
+        """Carry out an effect; a reply waits at most DISK_S for the latch to be on the disk."""
         if isinstance(effect, PublishTwist):
             self.publish_twist(effect.twist)
             return

@@ -31,21 +31,19 @@ from robotctl.ros.nodes.odom_subscriber import OdomSubscriber
 from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 
 REPEAT_NS = 200_000_000
-"""While the robot does not move, the least time between two events about the commands of one other
-publisher: a flood of commands must not fill the journal."""
+"""Least time between two events about one publisher's commands while the robot stands."""
 
 MAX_TOLD = 16
-"""While the robot does not move, a limit on the other publishers with an event in REPEAT_NS."""
+"""Limit on the publishers with an event in REPEAT_NS while the robot stands."""
 
 NAMELESS = "a publisher that is gone, or has no name yet,"
 
 
 class ForeignCommands:
-    """Dispatches an event for a velocity command that another publisher (not `own_gid`) has sent.
+    """Dispatches an event for each velocity command of a publisher other than `own_gid`.
 
-    `name_of(gid)` returns the name of the node with this publisher, "" if unknown. While `moves()`
-    returns true, each such command is an event, because it may end the motion. While it returns
-    false, each publisher causes at most one event in 0.2 s.
+    `name_of(gid)` returns the name of a publisher's node, "" if unknown. While `moves()` is false,
+    each publisher causes at most one event in REPEAT_NS.
     """
 
     def __init__(
@@ -63,7 +61,7 @@ class ForeignCommands:
         """Time of the last event of each recent publisher [steady ns]."""
 
     def heard(self, gid: bytes) -> None:
-        """Dispatch an event for a command of the publisher `gid`, unless it is ours or a repeat."""
+        """Handle a command of the publisher `gid`."""
         if gid == self._own_gid:
             return
         now_ns = time.monotonic_ns()
@@ -101,10 +99,7 @@ async def watch_graph(
     odometry: OdomSubscriber,
     dispatch: Callable[[Event], None],
 ) -> None:
-    """Dispatch an event when subscribers or foreign publishers of the command topic change.
-
-    Also look up the node names of the odometry publishers. Runs until cancelled.
-    """
+    """Dispatch changes of the command topic's subscribers and other publishers, until cancelled."""
     publishers: tuple[str, ...] = ()
     listeners: tuple[int, tuple[str, ...], str] | None = None
     count = -1
@@ -144,7 +139,7 @@ class Inputs:
             self._robot_report.drove_to(odometry.pose)
 
     def hears(self, kind: Callable[..., Event]) -> Callable[..., None]:
-        """Return a handler; it gets an event's fields except the time, and dispatches the event."""
+        """Return a handler that dispatches an event made of the present time and its arguments."""
         return lambda *values: self._control.dispatch(kind(time.monotonic_ns(), *values))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
@@ -171,16 +166,15 @@ class Inputs:
 
 
 HOST = slice(4)
-"""The part of a gid of Fast DDS that names vendor and host; processes of one host share it."""
+"""The part of a gid of Fast DDS that names vendor and host."""
 
 
 def is_remote(own_gid: bytes) -> bool:
-    """Return whether the request that is handled now may come from another host.
+    """Return whether the present request may come from another host.
 
-    This is possible even if discovery is limited to this machine: a client on another host can
-    name this machine as its static peer. If the client's gid is unknown, the request counts as
-    remote unless discovery is limited to this machine. Only two bytes of the gid name the host, and
-    a client can send any gid: this prevents mistakes, not attacks.
+    A client without a known gid is remote unless discovery is limited to this machine. Clients can
+    forge a gid.
     """
+    # Even with discovery limited to this machine, another host may name it as its static peer.
     gid = requester()
     return not is_on_this_machine_only() if gid is None else gid[HOST] != own_gid[HOST]

@@ -22,9 +22,9 @@ from robotctl.kernel.safety import RULES
 from robotctl.kernel.types import Cause
 
 MAX_BYTES = 4096
-"""Limit on the bytes that are read from the file, which holds one sentence and a cause."""
+"""Limit on the bytes that are read from the file."""
 
-_CAUSE = "cause: "
+_CAUSE = "cause: "  # the first version wrote files without a cause
 _CAUSES = {rule.cause.value: rule.cause for rule in RULES if rule.action is Mode.EMERGENCY_STOP}
 
 
@@ -36,13 +36,12 @@ class LatchedStop(NamedTuple):
 
 
 def read(path: Path) -> LatchedStop | None:
-    """Return the latched stop, or None if there is none; never wait for a FIFO or a device.
+    """Return the latched stop, or None if there is none.
 
-    A file that cannot be read counts as a stop by the operator, with the problem as its reason. A
-    file without a cause also counts as a stop by the operator: the first version wrote such files.
+    A file that is unreadable or has no cause counts as a stop by the operator.
 
     Raises:
-        UsageError: Another user can change the folder, so that user may have removed the file.
+        UsageError: Another user can change the folder.
     """
     chain_to(path.parent).check()
     try:
@@ -104,7 +103,7 @@ RETRY_S = 1.0
 """Pause before a change that failed is tried again."""
 
 DISK_S = 2.0
-"""How long a reply waits for a disk that hangs; the robot has already stopped by then."""
+"""How long a reply waits for a disk that hangs."""
 
 Then = Callable[[str], None]
 
@@ -131,8 +130,8 @@ class _Waiter:
 class Latch:
     """The latch of one robot; its methods are called in the loop's thread.
 
-    Its own thread writes one change at a time to the disk. Of the changes that are requested during
-    a write, only the last is written.
+    Its own thread writes to the disk. A change that is requested during a write replaces a waiting
+    one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -166,7 +165,7 @@ class Latch:
     def when_settled(self, then: Then) -> None:
         """Call `then(problem)` when the last change is on the disk or has failed, or after DISK_S.
 
-        `problem` is "" if the change is on the disk; otherwise the change is tried again.
+        `problem` is "" if the change is on the disk.
         """
         change = self._change
         if change is None or self._settled == change.number:

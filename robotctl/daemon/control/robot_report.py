@@ -26,10 +26,7 @@ from robotctl.ros.nodes.publishers import CommandLock
 
 
 class TrueErrors(NamedTuple):
-    """The errors of a drive measured with the simulated robot's true pose.
-
-    For errors measured by odometry, see `DriveReport`. `closure_m` is NaN until lap 1 is complete.
-    """
+    """A drive's errors by the true pose. `closure_m` is NaN until lap 1 is complete."""
 
     cross_track_rms_m: float
     cross_track_max_m: float
@@ -39,10 +36,7 @@ class TrueErrors(NamedTuple):
 
 
 class GroundTruth:
-    """Computes a drive's errors from the true pose; `truth()` returns None for a real robot.
-
-    The true path is moved so that it begins at the first measured pose: earlier drift is no error.
-    """
+    """Computes a drive's errors from the true pose, without odometry's drift before the drive."""
 
     def __init__(self) -> None:
         self.truth: Callable[[], Pose | None] = lambda: None
@@ -71,14 +65,11 @@ class GroundTruth:
             self._closure_m = end.distance(pose)
 
     def end(self, ended: DriveEnded) -> None:
-        """If the drive ended with a lap, set the true closure, the distance from the lap's end.
-
-        `follow` is not called after the last lap, so it cannot set this closure.
-        """
+        """Set the true closure of a drive that ended with a lap."""
         true, drive = self.truth(), self._drive
         if true is None or drive is None or drive.request_id != ended.request_id:
             return
-        if ended.report.laps != self._laps:
+        if ended.report.laps != self._laps:  # `follow` is not called after the last lap
             self._laps = ended.report.laps
             end = drive.origin if drive.path.closed else drive.origin.compose(drive.path.end)
             self._closure_m = end.distance(self._seen_from_odometry(true))
@@ -167,7 +158,7 @@ class RobotReport:
         }
 
     def missing(self) -> list[str]:
-        """Return a sentence for each input or subscriber that a start needs but that is absent."""
+        """Return a sentence for each absent input or subscriber that a start needs."""
         health, now = self._control.state.health, time.monotonic_ns()
         found = (RULE_OF[cause].check(health, self._control.params, now) for cause in _EXPECTED)
         missing = [text for text in found if text]

@@ -31,14 +31,14 @@ class ClipLimits:
 
     waiting: int = 8
     clips: int = 100
-    """Limit on the clips of one run of the daemon: a thousand stops must not fill the disk."""
+    """Limit on the clips of one run of the daemon."""
 
     cut_s: float = 20.0
     end_s: float = 10.0
-    """At the daemon's end, the limit on the time for cutting all clips that are not cut yet."""
+    """At the daemon's end, the limit on the time for cutting the remaining clips."""
 
     patience_s: float = PATIENCE_S
-    """Added to each clip's time limit, as its process waits until the recorder has written."""
+    """Added to each clip's time limit for the recorder to write."""
 
 
 DEFAULT_LIMITS = ClipLimits()
@@ -50,7 +50,7 @@ def clip_command(job: ClipJob) -> Sequence[str]:
 
 
 class BlackBox:
-    """Starts processes with the lowest priority that cut clips. Use this in the loop's thread."""
+    """Starts processes that cut clips. Use this in the loop's thread."""
 
     def __init__(
         self,
@@ -62,14 +62,13 @@ class BlackBox:
         now_ns: Callable[[], int] = time.time_ns,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
     ) -> None:
-        """`command` returns the command line that cuts a clip out of the folder `recording`;
-        `now_ns` is the wall clock of the events."""
+        """Cut clips out of the folder `recording`; `now_ns` is the wall clock of the events."""
         self._command = command
         self._limits = limits
         self._now_ns = now_ns
         self._sleep = sleep
         self.params = params
-        """`clip_before_s` and `clip_after_s` in these parameters are the lengths of a clip."""
+        """`clip_before_s` and `clip_after_s` are the lengths of a clip."""
 
         self._recording = recording
         self._waiting: deque[RecordedEvent] = deque()
@@ -78,7 +77,7 @@ class BlackBox:
         self._ordered = 0
 
     def note(self, event: RecordedEvent) -> None:
-        """Order a clip of `event` if its kind is in `CLIPPED` and clips are on; obey the limits."""
+        """Order a clip of an `event` in CLIPPED, if clips are on and no limit is reached."""
         if event.kind not in CLIPPED or not self.params.clip_before_s:
             return
         if len(self._waiting) >= self._limits.waiting or self._ordered >= self._limits.clips:
@@ -100,7 +99,7 @@ class BlackBox:
             await self._came.wait()
 
     async def finish(self) -> None:
-        """Cut the clips that remain when the recording is closed; after `end_s`, begin no more."""
+        """Cut the clips that remain when the recording is closed, for at most `end_s`."""
         until = time.monotonic() + self._limits.end_s
         if self._cutting is not None:
             await asyncio.wait({self._cutting}, timeout=self._limits.end_s)

@@ -38,7 +38,7 @@ from robotctl.ros.tap.tap import Tap
 
 
 def in_loop(call: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return a function that any thread may call; it schedules `call` in the running loop."""
+    """Return a function that calls `call` in the running loop, from any thread."""
     loop = asyncio.get_running_loop()
 
     def post(argument: Any) -> None:
@@ -64,9 +64,7 @@ class FlightRecorder:
         session: Session,
         mode: Callable[[], str],
     ) -> None:
-        """Start to record.
-
-        `mode()` returns the robot's mode; any thread may call it.
+        """Start to record. Any thread may call `mode()`, which returns the robot's mode.
 
         Raises:
             Refused: The recording cannot be written.
@@ -76,7 +74,7 @@ class FlightRecorder:
         """Called in the loop when recording has failed, if `on_recorder_failure` is "stop"."""
 
         self.on_file: Callable[[], None] = lambda: None
-        """Called in the loop at each split: a check of the next file needs a journal snapshot."""
+        """Called in the loop at each split, to journal a snapshot for the next file."""
 
         self._closing = False
         self._must_record = config.on_recorder_failure == "stop"
@@ -116,7 +114,7 @@ class FlightRecorder:
         self._marks = TextPublisher(session, publishers.MARK_TOPIC)
         self._write_mark = self.tap.reserve(publishers.MARK_TOPIC)
         self._events: int | None = None
-        """The channel of events for Foxglove, or None if `recording.foxglove_events` is off."""
+        """The channel of events for Foxglove, None if they are off."""
         if config.recording.foxglove_events:
             topic = Topic(
                 session.resolve(noted_events.TOPIC), noted_events.TYPE_NAME, noted_events.DEFINITION
@@ -168,19 +166,19 @@ class FlightRecorder:
         return self._recorder.stats().failure
 
     def note(self, event: RecordedEvent) -> None:
-        """Add `event` to the recording's metadata; if it is a stop or an error, order a clip."""
+        """Add `event` to the recording's metadata; order a clip of a stop or an error."""
         self._recorder.add_event(event)
         self._black_box.note(event)
 
     def show_event(self, values: Mapping[str, str]) -> None:
-        """Record an event for Foxglove with the present time, if the configuration enables it."""
+        """Record an event for Foxglove with the present time, if configured."""
         if self._events is not None:
             now_ns = time.time_ns()
             event = noted_events.encode_event(now_ns, now_ns, values)
             self._recorder.write(self._events, event, now_ns, now_ns, 0, UNKNOWN_GID)
 
     def mark(self, text: str, source: str) -> RecordedEvent:
-        """Add a mark (a text with its author and the present time) to the recording; publish it."""
+        """Add a mark with the present time to the recording, and publish it."""
         now_ns = time.time_ns()
         event = RecordedEvent(EventKind.MARK, now_ns, f"{text} [{source}]")
         self._write_mark(self._marks.publish(event.text), now_ns, now_ns, 0, UNKNOWN_GID)
@@ -208,7 +206,7 @@ class FlightRecorder:
     async def close(self) -> None:
         """Close the recording; then send the seal's last head, cut clips and start the indexing.
 
-        Messages that arrive from now on are dropped. The files are closed in a thread.
+        Messages that arrive from now on are dropped.
         """
         self._closing = True
         stats = await asyncio.to_thread(self._recorder.close)
@@ -229,7 +227,7 @@ class FlightRecorder:
         await asyncio.to_thread(rmtree, stats.file.parent, ignore_errors=True)
 
     def problems(self) -> list[str]:
-        """Return warnings about topics, disk, removal and repair of files, seal heads and index."""
+        """Return the warnings of the recorder's parts, one sentence each."""
         return [
             *self.tap.unrecorded.warnings(),
             *self.tap.mismatches.warnings(),
@@ -269,6 +267,6 @@ def _own_topics(config: Config) -> list[str]:
 
 
 def _evidence_topics(config: Config) -> list[str]:
-    """Return the topics that a check of the decisions needs: journal, commands, inputs, calls."""
+    """Return the topics that a check of the decisions needs."""
     used = [str(name) for key, name in flat(config).items() if key.endswith("topic") and name]
     return [*used, *(topic.name for topic in _EVIDENCE)]

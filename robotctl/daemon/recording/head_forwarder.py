@@ -1,5 +1,4 @@
-"""Sends each head (the newest digest of a sealed file's hash chain) to a topic and to a program,
-so that it can be kept on another machine, as evidence that no records were removed."""
+"""Sends each head (the newest digest of a sealed file) to a topic and to a program."""
 
 from __future__ import annotations
 
@@ -17,18 +16,18 @@ _log = logging.getLogger(__name__)
 
 COMMAND_TIMEOUT_S = 60.0
 LAST_TIMEOUT_S = 2.0
-"""How long the program may take for the last head: the end of the daemon waits for it."""
+"""How long the end of the daemon waits for the program with the last head."""
 
 
 class HeadForwarder:
     """Publishes each head of the seal, and runs a program with it. Use only in the loop's thread.
 
-    The last arguments of the program are the head (hex) and the file's name. Runs do not overlap:
-    of the heads that arrive during a run, only the newest is passed to the next run.
+    The program's last arguments are the head (hex) and the file's name. Heads that a newer head
+    replaces during a run are not passed to the program.
     """
 
     def __init__(self, command: str, publish: Callable[[str], object] | None) -> None:
-        """`command` is a command line, run without a shell, "" for none; `publish` sends to ROS.
+        """`command` is a command line, run without a shell, "" for none.
 
         Raises:
             ConfigError: The command line is malformed.

@@ -25,20 +25,19 @@ MAX_PROBLEMS: Final = 10
 
 
 class Tidier:
-    """Starts processes of the lowest priority that tidy the folder of recordings.
+    """Tidies the folder of recordings in processes of the lowest priority.
 
-    After `begun` is set, the first process applies the retention policy and repairs files that a
-    crash left. Each time that `finished` is set, a process applies only the policy. Processes do
-    this because files may be of any origin and size. Use the object only in the loop's thread.
+    Use it only in the loop's thread. Files that a crash left are repaired once, after `begun`; the
+    retention policy is applied then and after each `finished`.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
-        """`recording` is the folder of the present recording; its parent is the folder to tidy."""
+        """`recording` is the folder of the present recording, in the folder to tidy."""
         self.policy = policy
         self._recordings = recording.parent
         self._recording = recording
         self.begun = asyncio.Event()
-        """Set when the daemon is ready: from then on the folder may be tidied."""
+        """Set when the daemon is ready."""
 
         self.finished = asyncio.Event()
         """Set when a file of the present recording is finished."""
@@ -86,7 +85,7 @@ class Tidier:
 INDEX: Final = "robotctl.collection.indexing:index_job"
 
 MAX_BYTES: Final = 2_000_000_000
-"""A larger recording is not indexed on the robot's machine, but by `robotctl find`."""
+"""Limit on the size of a recording that is indexed on the robot's machine."""
 
 NOT_INSTALLED: Final = (
     "recordings are not indexed, because duckdb is not installed: pip install 'robotctl[parquet]'"
@@ -94,23 +93,18 @@ NOT_INSTALLED: Final = (
 
 
 def has_grown(files: int, indexed: int) -> bool:
-    """Return whether `files` is at least 1.5 times `indexed`, the files at the last indexing.
-
-    With this factor, all runs for one recording together cost about three times the last run.
-    """
+    """Return whether `files` is at least 1.5 times `indexed`, the files at the last indexing."""
     return 2 * files >= 3 * indexed
 
 
 class Indexer:
-    """Starts processes of the lowest priority that write the index of the present recording.
+    """Indexes the present recording in processes of the lowest priority, one at a time.
 
-    Only one process runs at a time. The last process indexes the closed recording; the daemon does
-    not wait for its end. Call the methods in the loop's thread: they do not block it, as other
-    threads look at files and start the processes.
+    Call the methods in the loop's thread. The process that `finish` starts outlives the daemon.
     """
 
     def __init__(self, recording: Path, log: Path, *, enabled: bool) -> None:
-        """The output of the last process is appended to the file `log`, or dropped without one."""
+        """The output of the last process is appended to `log` if that file exists."""
         self._recording = recording
         self._command = job_command(INDEX, {"recording": str(recording)})
         self._log = log
@@ -122,7 +116,7 @@ class Indexer:
 
     @property
     def problem(self) -> str:
-        """A sentence with the count of failures and the last reason, "" if there are none."""
+        """A sentence with the count of failures and the last reason, or ""."""
         if not self._failures:
             return ""
         times = "once" if self._failures == 1 else f"{self._failures} times"

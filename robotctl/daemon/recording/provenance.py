@@ -22,7 +22,7 @@ MAX_GIT_BYTES: Final = 4 << 20
 """A larger file of git is not read."""
 
 WHEELS: Final = {
-    "rclpy": "ros-jazzy-rclpy",
+    "rclpy": "ros-jazzy-rclpy",  # the package `rclpy` in it has the version before the last patch
     "rcl": "ros-rcl",
     "rmw_fastrtps": "ros-rmw-fastrtps-cpp",
     "fastdds": "ros-fastrtps",
@@ -33,18 +33,16 @@ WHEELS: Final = {
     "isal": "isal",
     "numpy": "numpy",
 }
-"""The wheel whose version is recorded for each library. For rclpy this is the wheel of ROS: the
-metadata of the Python package `rclpy` in it still has the version before the last patch."""
+"""The wheel whose version is recorded for each library."""
 
 _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 
 
 def provenance() -> dict[str, str]:
-    """Return versions, host and git revisions, as far as they are known.
+    """Return versions, host, user and git commits; unknown values are left out.
 
-    `git.robotctl` is the commit of robotctl's own source tree. `git.directory` is the commit of the
-    repository in which the daemon was started. Commits that are unknown are left out. `user` is the
-    user who runs the daemon.
+    `git.robotctl` is the commit of robotctl's source tree, `git.directory` that of the working
+    folder.
     """
     try:
         return dict(_provenance(Path.cwd()))
@@ -87,12 +85,9 @@ def revision_around(folder: Path) -> str:
 
 
 def revision(folder: Path) -> str:
-    """Return the commit that is checked out in `folder`, "" if it is not a repository's root.
-
-    This reads git's files (gitrepository-layout(5)): the git command may take seconds or hang.
-    """
+    """Return the commit that is checked out in `folder`, "" if it is not a repository's root."""
     try:
-        git = folder / ".git"
+        git = folder / ".git"  # read here: the git command may take seconds or hang
         if git.is_file():  # of a worktree or submodule
             git = folder / _text(git).removeprefix("gitdir: ")
         head = _text(git / "HEAD")
@@ -117,7 +112,7 @@ def _values(git: Path, name: str) -> Iterator[str]:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a regular file; refuse a FIFO, from which reading might never end.
+    """Return the text of a regular file.
 
     Raises:
         OSError: The file cannot be read, or is not a regular file.
@@ -138,25 +133,24 @@ def _version(distribution: str) -> str:
 
 
 CONTROL_PATH: Final = ("config/", "daemon/", "ipc/", "kernel/", "messages/", "ros/", "sim.py")
-"""The modules and folders whose code turns messages and requests into velocity commands."""
+"""The modules and folders whose code computes velocity commands."""
 
 ASIDE: Final = ("ros/executables", "ros/exchange.py", "ros/playback.py", "ros/queries.py")
 """Modules and folders within CONTROL_PATH that no daemon imports."""
 
 DIGEST: Final = "digest"
-"""The key of the digest over all modules; the other keys of `software` are names of modules."""
+"""The key of the digest over all modules."""
 
 SHORT_CHARACTERS: Final = 16
-"""Length of a module's short hash, which shows which module differs."""
+"""Length of a module's short hash."""
 
 
 @cache
 def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
     """Return the short hash of each module of CONTROL_PATH, and under DIGEST one digest of all.
 
-    The digest is the SHA-256 of lines `HASH  NAME`, as sha256sum(1) prints them: one for each
-    module, ordered by name, with its whole SHA-256. Files are read at the first call only: call it
-    soon after the start, before an update replaces them. Modules that cannot be read are left out.
+    The digest is the SHA-256 of sha256sum(1)'s lines for all modules, sorted by name. Files are
+    read at the first call only. Modules that cannot be read are left out.
     """
     hashes = dict(_hashes(package))
     lines = "".join(f"{value}  {name}\n" for name, value in sorted(hashes.items()))

@@ -21,7 +21,7 @@ from robotctl.ros.nodes.publishers import Diagnosis, DiagnosticLevel
 
 HEAVY_BYTES_PER_S = 5e6
 HEAVY_WINDOW_S = 5.0
-"""A topic is heavy if its data rate, averaged over this time, is above HEAVY_BYTES_PER_S."""
+"""Length of the window in which the data rate of a heavy topic is averaged."""
 
 CALM_SHARE = 0.5
 """A heavy topic stays heavy until its data rate falls to this share of the limit."""
@@ -41,7 +41,7 @@ class RateMeter:
         self._t_ns = 0
 
     def sample(self, t_ns: int, counts: Mapping[TopicKey, int]) -> None:
-        """Compute the rates since the last call; `counts` were read at the steady time `t_ns`."""
+        """Compute the rates since the last call from `counts` at the steady time `t_ns`."""
         hundredths = 100 * NS_PER_S / (t_ns - self._t_ns)
         self.rates = {
             topic: round((count - self._counts.get(topic, 0)) * hundredths) / 100
@@ -93,7 +93,7 @@ class _Row(msgspec.Struct):
 
 
 def topic_rows(topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
-    """Return the JSON list of topics in the status: a row for each name and type, sorted by both.
+    """Return the JSON list of topics in the status, sorted by name and type.
 
     A topic that is missing in `rates` has a rate of 0.
     """
@@ -117,7 +117,7 @@ def topic_rows(topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) ->
 
 
 MAX_TOPICS = 100
-"""Limit on the topics that a diagnosis lists; those with the most missing messages come first."""
+"""Limit on the topics that a diagnosis lists, those with the most missing messages."""
 
 
 def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
@@ -206,7 +206,7 @@ class RecorderReport:
             _log.warning("messages %s", NO_MEMORY)
 
     def diagnosis(self, stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-        """Return the result of `diagnose`; the commands that it suggests name the robot."""
+        """Return the result of `diagnose`, with the robot's name in suggested commands."""
         return diagnose(replace(stats, failure=for_robot(stats.failure, self._robot)), warnings)
 
     def heavy_warnings(self) -> Iterator[tuple[str, str]]:

@@ -29,10 +29,10 @@ _log = logging.getLogger(__name__)
 LOOK_S: Final = 2.0
 
 STEP: Final = 0.1
-"""One topic is stopped below 100 % of the reserve, another below 90 %, the next below 80 %, etc."""
+"""Share of the reserve by which the free space falls until one more topic is stopped."""
 
 REOPEN: Final = 1.1
-"""Topics are recorded again when the free space is at least this many times the reserve."""
+"""Share of the reserve at which topics are recorded again."""
 
 MAX_NAMED: Final = 10
 
@@ -40,7 +40,7 @@ MAX_NAMED: Final = 10
 class DiskReserve:
     """Stops recording topics, the heaviest first, while less than `least_bytes` are free.
 
-    `gates` has the MessageGates of each topic that may be stopped. Use only in the loop's thread.
+    `gates` has the gates of each topic that may be stopped. Use only in the loop's thread.
     """
 
     def __init__(self, least_bytes: int, gates: Mapping[str, Sequence[MessageGate]]) -> None:
@@ -69,7 +69,8 @@ class DiskReserve:
             await asyncio.sleep(LOOK_S)
 
     def look(self, free_bytes: int, sizes: Mapping[str, int]) -> None:
-        """If `free_bytes` is low, stop the topic that grew most in `sizes`; if high, resume all."""
+        """Stop the topic that grew most in `sizes` if `free_bytes` is low, or resume all if it is
+        high."""
         self._free_bytes = free_bytes
         grown = {topic: size - self._sizes.get(topic, 0) for topic, size in sizes.items()}
         self._sizes = sizes
@@ -82,7 +83,7 @@ class DiskReserve:
                 self._stop(heaviest)
 
     def warnings(self) -> Iterator[str]:
-        """Yield a sentence that says which topics are not recorded, and why."""
+        """Yield a sentence for each stopped topic, and one if the free space is unknown."""
         if self._unknown:
             yield self._unknown
         for topic in islice(self.stopped, MAX_NAMED):
@@ -154,12 +155,10 @@ def open_recorder(
 ) -> Recorder:
     """Start the recording ROBOT_DATE_TIME.
 
-    The callbacks may be called in any thread. For the metadata of each file, `mode()` returns the
-    robot's mode, and `present()` the configuration, which is `config` if `present` is None.
-    `on_failure(detail)` is called when recording fails, `on_split(file)` when the next file begins,
-    and `on_full(file)` when a file is full: it must schedule a call of the recorder's `split`.
-    `sealer` is used if `recording.seal` is set. `evidence` has the full names of topics that checks
-    need. `names` has the full names of the daemon's own topics and services, by metadata key.
+    Any thread may call the callbacks. `mode()` and `present()` return the robot's mode and the
+    configuration for a new file's metadata. `on_full(file)` must schedule a call of the recorder's
+    `split`. `evidence` and `names` are the full names of topics that checks need, and of the
+    daemon's own topics and services by metadata key.
 
     Raises:
         Refused: The recording cannot be written.

@@ -1,14 +1,12 @@
-"""Detects topics that stop, slow down or speed up, and restarts of publishers; reads no clock.
+"""Detects topics that stop, slow down or speed up, and restarts of publishers.
 
 If P is the expected period (the mean gap between messages), a topic is
 - silent, after max(1 s, 3 P) without a message,
-- slow, with fewer than half of the expected messages in a window of max(0.8 s, 3.5 P), which is so
-  long that a topic with one lost message is not slow,
+- slow, with fewer than half of the expected messages in a window of max(0.8 s, 3.5 P),
 - fast, with 1.7 times the expected messages in a window, unless they only make up for late ones.
 
 A topic is regular if one minute has at least FEWEST messages, no gap is much longer than the mean
-gap, and (at a high rate) each SPAN_S has about the same number of messages. So no period
-is learned for a topic that is published once, at events, in bunches or at random.
+gap, and (at a high rate) each SPAN_S has about the same number of messages.
 """
 
 from __future__ import annotations
@@ -63,7 +61,7 @@ class TopicWatch:
         """When a publisher replaced an earlier one, or None if that never happened."""
 
         self._patience_s = max(SILENT_S, SILENT_PERIODS * period_s) - LOOK_S
-        """`look` reports SILENT after this silence [s]; at the next `look` it would be too long."""
+        """`look` reports SILENT after this silence [s], as the next `look` would be too late."""
 
         self._window_s = max(WINDOW_S, WINDOW_PERIODS * period_s)
         self._expected = self._window_s / period_s
@@ -73,8 +71,7 @@ class TopicWatch:
         self._begin(now_s)
         self._publishers = 0
         self._replaced: tuple[float, dict[bytes, int]] | None = None
-        """When a new publisher appeared, and the next sequence number that each older publisher had
-        at this time; None if it is known whether the new publisher replaces an older one."""
+        """When a new publisher appeared, and the next sequence numbers of the older ones then."""
 
     @property
     def rate_hz(self) -> float:
@@ -93,7 +90,7 @@ class TopicWatch:
         self.trouble = self._judge(now_s)
 
     def look_at_publishers(self, now_s: float, next_numbers: Mapping[bytes, int]) -> None:
-        """Detect a restart: a publisher is new, and none of the older publishers sends any more.
+        """Detect a restart, a new publisher while no older publisher sends any more.
 
         `next_numbers` has the next sequence number of each publisher, the oldest publisher first.
         """
@@ -109,7 +106,7 @@ class TopicWatch:
                 self.restarted_s, self._replaced = since_s, None
 
     def pause(self, now_s: float) -> None:
-        """Begin new windows; call this if `look` was not called in time to judge the old ones."""
+        """Begin new windows, after a time without calls of `look`."""
         if self.trouble is not Trouble.SILENT:
             self.newest_s = now_s
         self._begin(now_s)
@@ -145,16 +142,16 @@ class TopicWatch:
 
 MINUTE_S: Final = 60.0
 FEWEST: Final = 20
-"""The fewest messages a minute of a regular topic; fewer, at random times, might look regular."""
+"""The fewest messages a minute of a regular topic; fewer at random times might look regular."""
 
 ROUNDS: Final = 3
-"""Learning the period of a topic is given up when this number of minutes were irregular."""
+"""Number of irregular minutes after which the period of a topic is not learned."""
 
 LONGEST_GAP: Final = 1.6
 """The longest gap of a regular topic is at most this many mean gaps, plus GAP_SLACK_S."""
 
 GAP_SLACK_S: Final = 0.25
-"""Tolerance for measured gaps, as the messages are counted only every LOOK_S."""
+"""Tolerance for measured gaps, which LOOK_S makes inexact."""
 
 SPAN_S: Final = 0.8
 FEWEST_IN_SPAN, MOST_IN_SPAN = 0.7, 1.4
@@ -167,7 +164,7 @@ class LearnedPeriod:
     def __init__(self, count: int) -> None:
         """Begin to learn with the next message; `count` is the number of messages so far."""
         self.rounds_left = ROUNDS
-        """How many more irregular minutes there may be; at 0, learning is given up."""
+        """How many more irregular minutes there may be."""
 
         self._restart(count)
 
@@ -227,21 +224,21 @@ class LearnedPeriod:
 _log = logging.getLogger(__name__)
 
 LATE_S: Final = 2.0 * LOOK_S
-"""If the last `look` is longer ago, windows and gaps are not judged: the loop was held up."""
+"""Windows and gaps are not judged if the last `look` is longer ago."""
 
 RECENT_S: Final = 60.0
 """How long `status` still shows a trouble that is over."""
 
 FORGET_S: Final = 600.0
-"""After this silence, a learned topic is no longer watched: its node has probably ended."""
+"""After this silence, a learned topic is no longer watched."""
 
 MAX_NAMED: Final = 20
 MAX_TROUBLES: Final = 5
 MAX_LOGGED: Final = 1_000
-"""Limit on the logged sentences: a topic may stop and start again without end."""
+"""Limit on the logged sentences."""
 
 _STAMP_SLACK_S: Final = 0.1
-"""A new message may be this much older than the last `look`: `Tap` batches for up to 0.05 s."""
+"""A new message may be this much older than the last `look`, as `Tap` batches for up to 0.05 s."""
 
 EVENTS: Final = frozenset(
     (
@@ -255,13 +252,13 @@ EVENTS: Final = frozenset(
 
 
 def may_be_learned(topic: str, type_name: str) -> bool:
-    """Return False for topics of actions, of service events and of EVENTS, whose rates may vary."""
+    """Return False for topics of actions, of service events and of EVENTS."""
     is_call = "/_action/" in topic or topic.endswith("/_service_event")
     return not (is_call or type_name in EVENTS)
 
 
 class Arrivals(Protocol):
-    """Counts the messages that have arrived on a channel, recorded or not; always up to date."""
+    """Counts the messages that have arrived on a channel, recorded or not."""
 
     @property
     def arrived(self) -> int:
@@ -289,14 +286,14 @@ class _Topic:
     """When the present trouble began [s]."""
 
     over: tuple[Trouble, float, float] | None = None
-    """The last trouble that has ended, if any: its kind, its duration [s] and when it ended [s]."""
+    """The last trouble that has ended, its duration [s] and the time of its end [s]."""
 
 
 class TopicHealth:
     """Watches the rates of topics, in the loop's thread only.
 
-    A topic is watched if its rate is configured, or after it was regular for a minute
-    (LearnedPeriod). Times are in seconds on a steady clock; `wall_ns` is since the epoch.
+    A topic is watched if its rate is configured or learned. Times are in seconds on a steady clock;
+    `wall_ns` is since the epoch.
     """
 
     def __init__(self, expected: RateByTopic, names: Iterable[str], now_s: float) -> None:
@@ -371,7 +368,7 @@ class TopicHealth:
             yield f"{len(told) - MAX_NAMED} more topics have other rates than expected"
 
     def troubles(self) -> str:
-        """Return a text that names the topics in trouble, without rates; "" if there are none.
+        """Return a text that names the topics in trouble, "" if there are none.
 
         A configured topic without a message is in trouble from the beginning.
         """

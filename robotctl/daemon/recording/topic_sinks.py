@@ -18,11 +18,10 @@ from robotctl.ros.tap.tap import TopicDescription
 
 
 class TopicSinks:
-    """Opens the sinks, which pass messages to the recorder; for the loop's thread.
+    """Opens sinks that pass the messages of topics to the recorder; for the loop's thread.
 
-    `is_own(topic)` returns whether robotctl publishes the topic, `is_evidence(topic)` whether a
-    check needs it. Own topics, evidence topics and latched topics are never throttled. The usual
-    rate is not learned for own topics and for latched topics.
+    `is_own(topic)` is true for robotctl's topics, `is_evidence(topic)` for topics that a check
+    needs. Own, evidence and latched topics are never throttled.
     """
 
     def __init__(
@@ -39,10 +38,10 @@ class TopicSinks:
         self._most = RateByTopic(params.throttle)
         self._has_reserve = params.min_free_gb > 0.0
         self.gates: dict[str, list[MessageGate]] = {}
-        """The gates of each topic that may be throttled, or stopped when the disk is full."""
+        """The gates of each topic that may be throttled or stopped."""
 
         self._sinks: dict[int, ViewSink] = {}
-        """The sinks by channel: opening a topic again returns the same sink."""
+        """The sinks by channel."""
 
         expected = (each.rpartition("=") for each in params.expected_rates)
         named = [name for name, _, rate in expected if is_plain_name(name) and float(rate)]
