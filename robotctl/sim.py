@@ -47,7 +47,7 @@ class Faults:
         return bool(left_s) and fault in left_s  # usually empty: saves the hash of the member
 
     def begin(self, fault: SimFault, for_s: float) -> None:
-        """Begin a fault, or change the end of an active fault: it lasts `for_s` from now on."""
+        """Make `fault` active for `for_s` from now on."""
         self._left_s[fault] = for_s
 
     def advance(self, dt_s: float) -> None:
@@ -69,11 +69,11 @@ class Faults:
 
 @dataclass(frozen=True, slots=True)
 class SimParams:
-    """How the simulated robot differs from a perfect one.
+    """The imperfections of the simulated robot.
 
-    Actuation errors change the motion, so odometry measures them. Odometry errors change only what
-    is reported, so only a comparison with the true pose shows them. At each step, a random number
-    multiplies each factor: mean 1, standard deviation `actuation_noise` or `odometry_noise`.
+    Actuation errors change its motion; odometry errors change only the reported motion. At each
+    step, a random number multiplies each factor: mean 1, standard deviation `actuation_noise` or
+    `odometry_noise`.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)
@@ -107,11 +107,10 @@ class SimParams:
 
 
 class Robot:
-    """A robot that follows commands as well as its parameters allow.
+    """The simulated robot.
 
-    `truth` is its true pose, and `odometry` is the pose that its odometry reports; both begin at
-    the origin. `measured` is the velocity that its odometry reports. `battery` is its battery level
-    from 0 to 1. `faults` has its active faults.
+    `truth` is its true pose, `odometry` its reported pose, `measured` its reported velocity. Both
+    poses begin at the origin. `battery` is its battery level from 0 to 1.
     """
 
     def __init__(self, params: SimParams) -> None:
@@ -173,7 +172,7 @@ class Robot:
         self.battery = max(0.0, self.battery - dt_s / params.battery_life_s)
 
     def _jitter(self, deviation: float) -> float:
-        """Return a nearly normal random factor of mean 1: the sum of 12 uniform numbers, scaled."""
+        """Return a nearly normal random factor of mean 1."""
         return 1.0 + deviation * (fsum(self._random.random() for _ in range(12)) - 6.0)
 
 

@@ -1,16 +1,15 @@
 """The pure core: modes, safety, patterns, tracking, limits. No clock, no I/O, no ROS.
 
-The names in `__all__` are for users of the library; the modules below may change. Each call of
-`step` handles one event, and returns the effects that the caller must carry out, in order:
+The names in `__all__` are for users of the library; the modules below may change. `step` returns
+the effects that the caller must carry out, in order:
 
     from robotctl.kernel import Kernel, KernelParams, Mode, ModeRequested
 
     kernel = Kernel(KernelParams())
     effects = kernel.step(ModeRequested(t_ns=0, request_id=1, requested=Mode.IDLE, source="me"))
 
-Each event carries its time: nanoseconds of a steady clock. A `Snapshot` and the events after it
-give the same effects again, bit for bit; `to_json` and `from_json` write and read all of these
-values. Each name is loaded on first use.
+Each event carries its time, in nanoseconds of a steady clock. A `Snapshot` and the events after it
+give the same effects again, bit for bit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Checks for `safety.RULES`: each returns what is wrong, or "".
-
-They run at each tick, so each check returns early if its input is off.
-"""
+"""The checks of `safety.RULES`."""
 
 from __future__ import annotations
 
@@ -16,20 +13,23 @@ from robotctl.kernel.state import Health, is_level
 from robotctl.kernel.types import Cause, LifecycleState
 
 FOREIGN_COMMAND_S = 1.0
-"""For this long, a command of another node forbids motion: that node may send rarely."""
+"""The time [s] for which a command of another node forbids motion."""
 
 
 def _age_s(then_ns: int, t_ns: int) -> float:
-    """Return the absolute difference of two times [s]: data from the future is stale, too."""
-    return abs(t_ns - then_ns) / NS_PER_S
+    """Return the absolute difference of two times [s]."""
+    return abs(t_ns - then_ns) / NS_PER_S  # data from the future is stale, too
 
 
 Check = Callable[[Health, KernelParams, int], str]
-"""Checks the health at a steady time [ns] and returns what is wrong, "" if nothing is."""
+"""Returns a sentence if the health shows a fault at a steady time [ns], else ""."""
+
+
+# Each check runs at each tick: it returns early if its input is off.
 
 
 def healthy(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return "" always: this check is for the causes that an event or a request raises."""
+    """Return "", for causes that only an event or a request raises."""
     return ""
 
 
@@ -86,10 +86,7 @@ def battery_unknown(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def odometry_wrong(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if the received odometry is unusable, else "".
-
-    A wrong frame counts at once; an impossible sample counts only if `odometry_lost` applies too.
-    """
+    """Return a sentence if odometry has a wrong frame, or is lost after a bad sample, else ""."""
     wanted, sources = params.odometry.frame_id, health.odometry_sources
     if wanted:
         for source, found in sources.frames:
@@ -207,18 +204,18 @@ def tick_overrun(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 LEVEL_OF_ERROR = 2.0
-"""The value of DiagnosticStatus.ERROR; STALE is higher, so it is an error, too."""
+"""The level of DiagnosticStatus.ERROR."""
 
 _ESTOP, _JOY, _BUMPER, _TILT, _DIAGNOSTICS = range(len(SafetyInput))
 """The index of each input in `Health.inputs`."""
 
 
+# Each step reads these: `Use.OFF` is a slow lookup in Python 3.11.
 _OFF, _REQUIRED = Use.OFF, Use.REQUIRED
-"""Global names, because each step reads them: `Use.OFF` is a slow lookup in Python 3.11."""
 
 
 def is_any_required(params: KernelParams) -> bool:
-    """Return whether a safety input or a scan is required, so that its silence is a fault."""
+    """Return whether a safety input or the scan is required."""
     inputs = params.inputs
     return (
         params.scan.use is _REQUIRED

@@ -1,7 +1,4 @@
-"""Writes kernel values as JSON and reads them back bit for bit; the journal uses this format.
-
-A float is written as its repr, which reads back to the same bits; nan and inf become strings.
-"""
+"""The JSON form of the kernel's values; nan and inf are strings."""
 
 from __future__ import annotations
 
@@ -28,10 +25,9 @@ def to_json(value: Any) -> str:
 
 
 def from_json(kind: Callable[..., T], text: str) -> T:
-    """Return the value of type `kind` that `to_json` wrote.
+    """Return the value of type `kind` in a text of `to_json`.
 
-    A field that is missing in the text takes its default; a field that `kind` does not have is
-    ignored. So journals of other versions can be read.
+    A missing field takes its default; an unknown field is ignored.
 
     Raises:
         ValueError: `text` is not a value of type `kind`.
@@ -44,7 +40,7 @@ def from_json(kind: Callable[..., T], text: str) -> T:
 
 
 class _Writers(dict[Any, Callable[[Any], str]]):
-    """Maps each type to the function that writes it; a function is made on first use."""
+    """The function that writes each type, made on first use."""
 
     def __missing__(self, kind: Any) -> Callable[[Any], str]:
         self[kind] = _writer(kind)
@@ -55,7 +51,7 @@ _WRITERS = _Writers()
 
 
 def _writer(kind: Any) -> Callable[[Any], str]:
-    """Return a function that writes a value of type `kind`; json.dumps would need a dict of it."""
+    """Return a function that writes a value of type `kind`."""
     if kind is float:
         return lambda value: repr(value) if isfinite(value) else f'"{value!r}"'
     if kind is bool:
@@ -150,10 +146,7 @@ def finite_or_none(value: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """Counts what was sent and written before a snapshot, so that a check finds what is missing.
-
-    `commands` counts the velocity commands, `journal_crc` is the CRC-32 of the journal's entries.
-    """
+    """The number of velocity commands and the CRC-32 of the journal's entries before a snapshot."""
 
     commands: int
     journal_crc: int
@@ -161,9 +154,9 @@ class Proof:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The state of a kernel between two events; `made_by` names the Python that computed it.
+    """The state of a kernel between two events.
 
-    `proof` is None in a recording of version 0.1.0.
+    `made_by` names the Python that computed it. `proof` is None in recordings of version 0.1.0.
     """
 
     made_by: str

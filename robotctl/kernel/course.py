@@ -1,4 +1,4 @@
-"""How a drive differs from a plain pattern: corners, angle, direction, waypoints, velocity."""
+"""The options of a drive."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ MAX_SILENCE_S = 0.125
 
 MAX_COORDINATE_M = 10_000.0
 MIN_LEG_M = 0.001
-"""Consecutive points that are nearer to each other than this count as one."""
+"""Consecutive points nearer to each other than this count as one."""
 
 
 class Frame(Enum):
-    """The frame of waypoints: that of the robot's pose at the start, or that of odometry."""
+    """The frame of waypoints, either the robot's pose at the start or that of odometry."""
 
     START = "start"
     ODOM = "odom"
@@ -33,12 +33,10 @@ class Frame(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """A velocity that is commanded for `for_s` seconds.
+    """A velocity for `for_s` seconds, then no command for `quiet_s` seconds.
 
-    After that, no command is sent for `quiet_s` seconds, to see when the base stops by itself.
-
-    A hold-to-run velocity must be repeated by its client. `heard_t_ns` is the steady time of its
-    last request, None for other velocities. After `for_s` of silence the command is 0 at once.
+    The client of a hold-to-run velocity must repeat it within `for_s`. `heard_t_ns` is the steady
+    time of its last request, None for other velocities.
     """
 
     linear_mps: float
@@ -60,7 +58,7 @@ class Held:
         return ""
 
     def begun(self, t_ns: int) -> Held:
-        """Return a copy that begins at `t_ns`, the time of a hold-to-run client's last request."""
+        """Return the velocity of a drive that begins at `t_ns` (steady)."""
         return replace(self, heard_t_ns=t_ns) if self.is_held_to_run else self
 
     @property
@@ -74,9 +72,9 @@ class Held:
         return self.is_held_to_run and not (self.linear_mps or self.angular_rps)
 
     def is_silent(self, t_ns: int, period_s: float) -> bool:
-        """Return whether, at the next tick, the hold-to-run client will be silent for over `for_s`.
+        """Return whether the hold-to-run client's silence exceeds `for_s` at the next tick.
 
-        `period_s` is the period of the ticks; it counts as at most half of `for_s`.
+        `period_s` is the period of the ticks; at most half of `for_s` counts.
         """
         if self.heard_t_ns is None:
             return False
@@ -86,15 +84,15 @@ class Held:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """How a drive differs from a plain pattern.
+    """The options of a drive.
 
-    - `corner_m`: the radius of the corners of a rounded square. On waypoints, how far before a
-      corner the robot leaves the straight line; 0 to stop and turn at each point.
-    - `angle_rad`: the angle of a turn or an arc, to the left if positive.
+    - `corner_m`: the corner radius of a rounded square. With waypoints, the curve begins this far
+      before a corner; with 0 the robot stops and turns at each point.
+    - `angle_rad`: the angle of a turn or an arc, positive to the left.
     - `reverse`: drive rear first. A pattern lies behind the robot; waypoints are unchanged.
     - `open_loop`: drive without feedback from odometry.
-    - `waypoints`, in `frame` [m]: drive through them instead of a pattern.
-    - `held`: command this velocity instead of following a pattern or waypoints.
+    - `waypoints`: points in `frame` [m] to drive through instead of a pattern.
+    - `held`: a velocity to command instead of a pattern or waypoints.
     """
 
     corner_m: float = 0.1
@@ -106,7 +104,7 @@ class Course:
     held: Held | None = None
 
     def refusal(self) -> str:
-        """Return what is wrong with the options of this course, or ""."""
+        """Return why these options cannot be driven, "" if they can."""
         corner_m, angle_rad = self.corner_m, self.angle_rad
         if self.held is not None:
             return self.held.refusal()

@@ -1,9 +1,7 @@
-"""A drive along a path: how far the reference has come, and how well the robot follows it.
+"""A drive along a path, with its progress and its tracking errors.
 
-A point ahead of the reference, the lead, moves by the speed plan; its acceleration has steps.
-The speed of the reference is the mean of the lead's speeds in the last ticks: this moving average
-limits the jerk, and keeps speed and acceleration within the plan (Biagiotti and Melchiorri 2012).
-At a stop of the plan, the lead waits until the reference and the robot have arrived.
+A point ahead of the reference, the lead, moves by the speed plan. The reference moves at the mean
+of the lead's last speeds, which limits the jerk (Biagiotti and Melchiorri 2012).
 """
 
 from __future__ import annotations
@@ -25,21 +23,21 @@ SETTLE_S = 0.6
 """The longest time that the reference waits at a stop for the robot to arrive."""
 
 ARRIVED = 1e-9
-"""Smaller values [m, rad, m/s, rad/s] are rounding and count as 0: the distance from the lead to a
-stop, the distance from the reference to the lead, and the speed of the reference."""
+"""Smaller distances [m, rad] and speeds [m/s, rad/s] count as 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far the reference has come: `laps` complete laps, then `segment` segments, then `length`.
+    """The place and the motion of the reference on its path.
 
-    Lengths are in m; in a turn they are in rad, with a held velocity in s. Speeds are per second.
+    It is `length` into the segment with index `segment`, after `laps` complete laps. Lengths are in
+    m, in a turn in rad, with a held velocity in s. Speeds are per second.
 
     - `speed`, `accel`: the speed and the acceleration of the reference.
-    - `ahead`, `lead_speed`: how far the lead is ahead of the reference; the speed of the lead.
+    - `ahead`, `lead_speed`: the distance of the lead from the reference; the speed of the lead.
     - `rates`: the speeds of the lead in the last ticks.
-    - `settling_s`: how long the reference has waited at a stop.
-    - `closure_m`: how far the robot was from the path's end when the last lap ended, or NaN.
+    - `settling_s`: the time that the reference has waited at a stop.
+    - `closure_m`: the robot's distance from the path's end when the last lap ended, or NaN.
     """
 
     laps: int = 0
@@ -55,9 +53,9 @@ class Progress:
 
 
 def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns: bool) -> Progress:
-    """Return the first progress of a drive: its reference and its lead move at `speed` [m/s].
+    """Return the first progress of a drive that begins at `speed` [m/s].
 
-    Both begin at speed 0 if the first leg is a turn (`turns`) or is too short for the lead.
+    It begins at 0 if the first leg is a turn (`turns`) or too short for the lead.
     """
     ahead = 0.5 * speed * dt_s * (ticks - 1)
     if turns or speed <= 0.0 or legs[0].length <= ahead:
@@ -135,11 +133,10 @@ _TURNED = Pose(0.0, 0.0, pi)
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """The tracking quality so far: sums and maxima over the odometry samples.
+    """Sums and maxima of the tracking errors over the odometry samples.
 
-    `error_m` is the distance of the last sample from the reference. A distance above the path's
-    `reach_m` counts as inf: on a small path, no distance exceeds `tracking.max_error_m`. The error
-    is also inf if the robot does not follow a turn (`LOST_RAD`).
+    `error_m` is the last sample's distance from the reference. It is inf beyond `reach_m` of the
+    path, and if the robot does not follow a turn (`LOST_RAD`).
     """
 
     samples: int = 0
@@ -153,9 +150,10 @@ class Score:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive of `laps` laps (0: until stopped); its path begins at `origin` in the odom frame.
+    """A drive of `laps` laps, 0 for no end.
 
-    It began at `begin_t_ns` (steady). In reverse, `origin` has the heading of the robot's rear.
+    Its path begins at `origin` in the odom frame. In reverse, `origin` has the heading of the
+    robot's rear. `begin_t_ns` is steady.
     """
 
     request_id: int
@@ -179,12 +177,12 @@ class Drive:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether no command is sent now, to see when the base stops by itself."""
+        """Whether the time without commands, `Held.quiet_s`, has begun."""
         held = self.course.held
         return held is not None and held.quiet_s > 0.0 and self.progress.length >= held.for_s
 
     def ending(self) -> str:
-        """Return why this drive ends: it is finished, or its client released it or fell silent."""
+        """Return the reason for the end of this drive."""
         held = self.course.held
         if held is not None and held.is_held_to_run:
             return "let go" if held.is_let_go else f"not held for {held.for_s * 1e3:g} ms"
@@ -193,9 +191,9 @@ class Drive:
         return f"drive finished: {self.laps} lap{'' if self.laps == 1 else 's'}"
 
     def reference(self, lag_s: float = 0.0) -> Reference:
-        """Return where the reference is now, in the odom frame, and how it moves `lag_s` later.
+        """Return the reference's pose now, in the odom frame, and its motion in `lag_s`.
 
-        For a held velocity, the reference stands still at `origin`.
+        The reference of a held velocity stands at `origin`.
         """
         at, segments = self.progress, self.path.segments
         if not segments:
@@ -232,7 +230,7 @@ class Drive:
         return self._at(begun(speed_mps, ticks, dt_s, legs, turns=turns))
 
     def advance(self, dt_s: float, pose: Pose, limits: VelocityLimits, ticks: int) -> Drive:
-        """Return the drive after a step of `dt_s`; the robot is at `pose` now. See `advanced`."""
+        """Return the drive after a step of `dt_s`, with the robot at `pose`."""
         if dt_s <= 0.0:
             return self
         if self.course.held is not None:
@@ -256,11 +254,11 @@ class Drive:
         return self._at(place)
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
-        """Return the drive with one more sample in its score: a move of `moved_m` to `pose`."""
+        """Return the drive with a move of `moved_m` to `pose` in its score."""
         return changed(self, score=self.score_after(self.score, pose, moved_m))
 
     def score_after(self, so_far: Score, pose: Pose, moved_m: float) -> Score:
-        """Return the score `so_far` with one more sample: a move of `moved_m` to `pose`."""
+        """Return the score `so_far` with a move of `moved_m` to `pose` added."""
         at, path = self.progress, self.path
         if not path.segments:
             return replace(so_far, distance_m=so_far.distance_m + moved_m)
@@ -270,6 +268,7 @@ class Drive:
         wanted = segment.pose_at(at.length)
         error_m = wanted.distance(local)
         heading_rad = abs(wrap_angle(wanted.theta - local.theta))
+        # On a small path, no distance exceeds `tracking.max_error_m`.
         lost = error_m > path.reach_m or (segment.turns and heading_rad > LOST_RAD)
         return Score(
             so_far.samples + 1,
@@ -309,7 +308,7 @@ class Drive:
         return replace(self, course=replace(self.course, held=held))
 
     def completed(self) -> Drive:
-        """Return the drive with all laps counted as driven, so that it is `finished`."""
+        """Return the drive with all laps counted as driven."""
         return self._at(replace(self.progress, laps=self.laps))
 
     def _at(self, progress: Progress) -> Drive:
@@ -334,7 +333,7 @@ class Drive:
         return self._at(replace(self.progress, length=held_s, laps=int(is_over)))
 
     def _after_stop(self, at: Progress) -> Progress:
-        """Return the progress after a stop: on the next segment or lap, or at the drive's end."""
+        """Return the progress after a stop."""
         if at.segment + 1 < len(self.path.segments):
             return Progress(at.laps, at.segment + 1, closure_m=at.closure_m)
         if at.laps + 1 == self.laps:

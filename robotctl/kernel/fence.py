@@ -47,7 +47,7 @@ def corners_of(text: str) -> tuple[Corner, ...]:
 
 
 def is_inside(x: float, y: float, corners: tuple[Corner, ...]) -> bool:
-    """Return whether a point lies in the polygon: a ray from it crosses an odd number of sides."""
+    """Return whether a point lies in the polygon."""
     inside = False
     last_x, last_y = corners[-1]
     for corner_x, corner_y in corners:

@@ -45,7 +45,7 @@ ORIGIN = Pose()
 
 
 QUATERNION_TOLERANCE = 0.1
-"""How far the length of a quaternion may be from 1: some drivers round."""
+"""The largest difference between the length of a quaternion and 1."""
 
 _SHORTEST, _LONGEST = (1.0 - QUATERNION_TOLERANCE) ** 2, (1.0 + QUATERNION_TOLERANCE) ** 2
 

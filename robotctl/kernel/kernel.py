@@ -1,4 +1,4 @@
-"""The kernel: the only code that decides mode and command. `Kernel.step` is deterministic."""
+"""The kernel, the only code that decides mode and command."""
 
 from __future__ import annotations
 
@@ -83,9 +83,9 @@ VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
 
 
 class Kernel:
-    """The kernel: each step decides on one event, and replaces `state` as a whole.
+    """Decides deterministically on one event at a time, and replaces `state` as a whole.
 
-    Each request gets exactly one reply. Only `_stand` and the start of a motion change the mode.
+    Each request gets exactly one reply.
     """
 
     def __init__(self, params: KernelParams, state: State | None = None) -> None:
@@ -230,7 +230,7 @@ class Kernel:
         return 0.0 if tick_t_ns is None else (t_ns - tick_t_ns) / NS_PER_S
 
     def _step_s(self, t_ns: int) -> float:
-        """Return the time since the last tick, 0 to 2 periods [s]; it limits a command's change."""
+        """Return the time since the last tick, limited to 0 to 2 periods [s]."""
         return min(max(self._tick_gap_s(t_ns), 0.0), 2.0 / self.params.rate_hz)
 
     def _rise_ticks(self) -> int:
@@ -238,7 +238,7 @@ class Kernel:
         return round(self.params.limits.accel_rise_s * self.params.rate_hz) or 1
 
     def _is_silent(self, t_ns: int) -> bool:
-        """Update and return `state.silent`: whether `when_idle: silent` stops the zeros now."""
+        """Update and return `state.silent`."""
         state = self.state
         if self.params.command.when_idle is WhenIdle.ZEROS:
             return False
@@ -565,7 +565,7 @@ class Kernel:
             return None
         return params
 
-    # The mode
+    # The mode: only `_stand` and `_set_moving` change it
 
     def _raise_fault(self, t_ns: int) -> None:
         finding = raised(self.state.mode, self.state.health, self.params, t_ns)

@@ -18,7 +18,7 @@ class Mode(IntEnum):
 
 
 class Trigger(Enum):
-    """What can change the mode: four requests, the reset, faults, and the end of a ramp."""
+    """A reason to change the mode."""
 
     REQUEST_IDLE = "request idle"
     REQUEST_MOVING = "request moving"
@@ -52,7 +52,7 @@ def _table() -> dict[tuple[Mode, Trigger], Transition]:
     idle, moving, error, stop = Mode.IDLE, Mode.MOVING, Mode.ERROR, Mode.EMERGENCY_STOP
     go, start = Transition, Guard.START_CONDITIONS
     gone, ramp, never = Guard.CAUSE_GONE, Guard.RAMP_DOWN, Guard.NEVER
-    rows = {
+    rows = {  # columns: IDLE, MOVING, ERROR, EMERGENCY_STOP
         Trigger.REQUEST_IDLE: (go(idle), go(idle, ramp), go(idle, gone), go(idle, gone)),
         Trigger.REQUEST_MOVING: (go(moving, start), go(moving), go(error, never), go(stop, never)),
         Trigger.REQUEST_ERROR: (go(error), go(error), go(error), go(stop, never)),
@@ -66,10 +66,7 @@ def _table() -> dict[tuple[Mode, Trigger], Transition]:
 
 
 TRANSITIONS: Mapping[tuple[Mode, Trigger], Transition] = MappingProxyType(_table())
-"""The transition for each mode and trigger.
-
-The columns of a row in `_table` are the modes IDLE, MOVING, ERROR and EMERGENCY_STOP.
-"""
+"""The transition for each mode and trigger."""
 
 REQUESTS: Mapping[Mode, Trigger] = MappingProxyType(
     {

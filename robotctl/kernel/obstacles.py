@@ -49,8 +49,8 @@ def distance_ahead(
 ) -> float:
     """Return the distance from the robot to the nearest obstacle in its path [m], inf if none.
 
-    `sectors` are the nearest ranges by direction; an obstacle may be anywhere in its sector. Only
-    obstacles at most `reach_m` away along the path count. A command of zero has a straight path.
+    `sectors` are the nearest ranges by direction [m]. Obstacles beyond `reach_m` along the path do
+    not count. A command of zero has a straight path.
     """
     nearest_m, side_m = inf, _side_m(command, params, reach_m)
     for x, y in _points(sectors, params, farthest_m(params, reach_m)):
@@ -67,22 +67,17 @@ def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float
 
 
 def is_free(free_m: float, command: Twist, params: ScanParams, reach_m: float) -> bool:
-    """Return whether the path of `command` is certainly free if each obstacle has |y| >= `free_m`.
-
-    If this is False, an obstacle may be in the path: call `distance_ahead`.
-    """
+    """Return whether no obstacle with |y| >= `free_m` can be in the path of `command`."""
     return _side_m(command, params, reach_m) < free_m
 
 
 def _side_m(command: Twist, params: ScanParams, reach_m: float) -> float:
-    """Return the largest |y| at which the robot can touch something [m]; inf in a sharp turn.
-
-    On an arc of radius r and length s, a robot moves sideways by r * (1 - cos(s / r)) <= s^2 / 2r.
-    """
+    """Return the largest |y| at which the robot can touch something [m]; inf in a sharp turn."""
     way_m = reach_m + params.half_length_m
     radius_m = abs(command.linear / command.angular) if command.angular else inf
     if (abs(command.linear) < STANDING_MPS and command.angular) or radius_m < way_m:
         return inf
+    # An arc of radius r and length s leads r * (1 - cos(s / r)) <= s^2 / 2r to the side.
     return params.half_width_m + way_m * way_m / (2.0 * radius_m) + ROUNDING_M
 
 
@@ -118,10 +113,7 @@ def farthest_m(params: ScanParams, reach_m: float) -> float:
 
 
 def _along_path(x: float, y: float, command: Twist, params: ScanParams) -> float:
-    """Return how far the robot drives before it touches a point in its frame [m], inf if never.
-
-    In curves, the path is as wide as the front corners of the robot's rectangle need.
-    """
+    """Return the distance to the robot's first contact with a point [m], inf if none."""
     linear, angular = command.linear, command.angular
     if abs(linear) < STANDING_MPS and angular:
         return 0.0 if hypot(x, y) <= hypot(params.half_length_m, params.half_width_m) else inf

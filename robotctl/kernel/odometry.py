@@ -1,4 +1,4 @@
-"""Decides whether an odometry sample is possible and new, and which publisher is followed."""
+"""Checks samples of odometry and selects the publisher to follow."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from robotctl.kernel.state import Health, OdometrySources, SecondOdometry, State
 from robotctl.kernel.types import Odometry, OdometrySourceFound, OdomReceived, Phase, changed
 
 MAX_NAMED_SOURCES = 16
-"""How many names of odometry publishers are kept; the number of publishers has no limit."""
+"""The number of publishers whose names and frames are kept."""
 
 
 def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> State:
@@ -47,11 +47,7 @@ def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> 
 
 
 def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -> str:
-    """Return why this sample is impossible, "" if it is possible.
-
-    Its stamp must not be before the stamp of the previous sample, even if that was impossible. So
-    only one sample is impossible when the wall clock is set back.
-    """
+    """Return why this sample is impossible, "" if it is possible."""
     last = health.odometry
     if not is_finite(odometry):
         if isfinite(odometry.pose.theta):
@@ -59,6 +55,7 @@ def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -
         return "odometry has no valid orientation (its quaternion must have length 1)"
     if last is None:
         return ""
+    # The stamp before may be of an impossible sample: a clock set back makes only one impossible.
     if odometry.stamp_ns < health.odometry_stamp_ns:
         return "odometry went back in time"
     jump_m = last.pose.distance(odometry.pose)
@@ -71,10 +68,7 @@ def odometry_fault(health: Health, odometry: Odometry, params: OdometryParams) -
 
 
 def is_repeated(health: Health, odometry: Odometry) -> bool:
-    """Return whether this sample repeats the last usable sample, because its publisher hangs.
-
-    A sample without a stamp (0) counts as new: it may be from a robot that stands still.
-    """
+    """Return whether a sample with a stamp repeats the last usable sample."""
     return odometry.stamp_ns != 0 and odometry == health.odometry
 
 
@@ -102,10 +96,7 @@ def source_found(sources: OdometrySources, event: OdometrySourceFound) -> Odomet
 
 
 def may_follow(health: Health, event: OdomReceived, params: OdometryParams) -> bool:
-    """Return whether a robot that is not MOVING may switch to the publisher of this sample.
-
-    It may if the last usable, new sample is older than `odometry.timeout_s`, or if there is none.
-    """
+    """Return whether a robot that is not MOVING may switch to the publisher of this sample."""
     age_s = abs(event.t_ns - health.odometry_t_ns) / NS_PER_S
     return health.odometry is None or age_s > params.timeout_s
 

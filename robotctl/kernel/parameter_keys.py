@@ -15,7 +15,7 @@ _WITH_TOPIC = ("command", "odometry", "battery")
 
 
 class Leaf(NamedTuple):
-    """One parameter: the names of the attributes that lead to it, and its declaration."""
+    """A parameter by the names of the attributes that lead to it."""
 
     path: tuple[str, ...]
     declared: Field[Any]

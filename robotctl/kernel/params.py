@@ -1,7 +1,4 @@
-"""The parameters of the kernel, each with its default, limits and unit.
-
-`robotctl.config` checks a configuration file against these limits.
-"""
+"""The parameters of the kernel, each with its default, limits and unit."""
 
 from __future__ import annotations
 
@@ -16,10 +13,7 @@ from robotctl.kernel.safety_inputs import SafetyInputParams, Use
 
 @dataclass(frozen=True, slots=True)
 class VelocityLimits:
-    """The largest velocity of a command, and its largest change per second.
-
-    On a path, an acceleration builds up over `accel_rise_s`, which limits the jerk.
-    """
+    """The largest velocity of a command, and its largest change per second."""
 
     linear_mps: float = bounded(0.6, 0.01, 10.0, "m/s", "largest speed of a command")
     angular_rps: float = bounded(1.5, 0.01, 20.0, "rad/s", "largest turning rate of a command")
@@ -36,7 +30,7 @@ class VelocityLimits:
 
 @dataclass(frozen=True, slots=True)
 class TrackingParams:
-    """Parameters of tracking: the gains, the largest distance from the reference, and the lag."""
+    """The parameters of path tracking."""
 
     k_x: float = bounded(3.5, 0.0, 100.0, "1/s", "gain of the error along the path")
     k_y: float = bounded(20.0, 0.0, 1000.0, "1/m^2", "gain of the error across the path")
@@ -73,18 +67,17 @@ class OdometryQos(Enum):
 
 
 class WhenIdle(Enum):
-    """What is sent in IDLE: ZEROS at each tick, or SILENT: zeros for a second, then nothing."""
+    """The commands in IDLE; SILENT sends zeros for one second, then nothing."""
 
     ZEROS = "zeros"
     SILENT = "silent"
 
 
 class Foreign(Enum):
-    """What happens if other nodes publish velocity commands.
+    """The effect of other nodes that publish velocity commands.
 
-    ERROR: any publisher, even a silent one, prevents the start of a motion and ends a motion.
-    WARN: there is only a warning. YIELD: other nodes may drive while the mode is IDLE. Their
-    commands prevent the start of a motion and end a motion; a silent publisher does neither.
+    ERROR: any publisher, even a silent one, forbids motion. WARN: it only causes a warning. YIELD:
+    its commands forbid motion, a silent publisher does not.
     """
 
     ERROR = "error"
@@ -94,10 +87,7 @@ class Foreign(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CommandParams:
-    """The topic of the velocity command, and its type: Twist, or TwistStamped with `frame_id`.
-
-    `when_idle` and `foreign` let other nodes drive while robotctl records and watches.
-    """
+    """The topic, type and QoS of the velocity command, and the rules for other senders."""
 
     topic: str = topic("cmd_vel", "topic of the velocity command")
     stamped: Stamping = setting(
@@ -133,7 +123,7 @@ class OdometryParams:
 
 
 class BatteryScale(Enum):
-    """The value of a full battery: 1 (REP-147) or 100. AUTO: 1, or 100 after a level above 1.05."""
+    """The level of a full battery, 1 (REP-147) or 100; AUTO is 1 until a level above 1.05."""
 
     AUTO = "auto"
     ONE = "1"
@@ -142,7 +132,7 @@ class BatteryScale(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BatteryParams:
-    """The battery's topic, which is "" if there is none, and the levels that allow motion."""
+    """The topic of the battery, "" if there is none, and the limits of its level."""
 
     topic: str = topic("battery_state", "topic of the battery", optional=True)
     scale: BatteryScale = setting(BatteryScale.ONE, "the level of a full battery", Change.START)
@@ -156,10 +146,9 @@ class BatteryParams:
 
 @dataclass(frozen=True, slots=True)
 class ScanParams:
-    """A sensor_msgs/LaserScan topic, where the scanner sits, and how large the robot is.
+    """A sensor_msgs/LaserScan topic, the place of the scanner, and the size of the robot.
 
-    The robot is a rectangle around its centre. It stops for an obstacle in its path that is nearer
-    to its front than `stop_distance_m` plus the braking distance.
+    The robot is a rectangle around its centre. Its braking distance adds to `stop_distance_m`.
     """
 
     use: Use = setting(Use.OFF, "obstacles in a laser scan", Change.START)
@@ -175,11 +164,7 @@ class ScanParams:
 
 @dataclass(frozen=True, slots=True)
 class KernelParams:
-    """All parameters of `Kernel.step`.
-
-    Without `remote_motion`, a request from another host starts no motion.
-    With `guard`, a request for MOVING starts a motion that another node steers by `guard_topic`.
-    """
+    """All parameters of the kernel."""
 
     rate_hz: float = bounded(50.0, 5.0, 1000.0, "Hz", "rate of the commands", Change.START)
     max_tick_gap_s: float = bounded(

@@ -1,7 +1,4 @@
-"""A path: the segments of one lap, in the frame of the pose where the drive begins.
-
-The length of a line or a curve is in metres, that of a turn on the spot in radians.
-"""
+"""The segments of a path, in the frame of the pose where the drive begins."""
 
 from __future__ import annotations
 
@@ -32,7 +29,7 @@ class Line:
         return Pose(self.start.x + length * c, self.start.y + length * s, self.start.theta)
 
     def curvature_at(self, length: float) -> float:
-        """Return 0: a line is straight."""
+        """Return 0."""
         return 0.0
 
     def distance_to(self, point: Pose, guess: float) -> float:
@@ -58,7 +55,7 @@ class Turn:
         return Pose(self.start.x, self.start.y, self.start.theta + self.side * length)
 
     def curvature_at(self, length: float) -> float:
-        """Return `side`: `length` is an angle here, and the heading changes by 1 rad per rad."""
+        """Return `side`, the change of heading per length [rad/rad]."""
         return self.side
 
     def distance_to(self, point: Pose, guess: float) -> float:
@@ -80,7 +77,7 @@ class Circle:
 
     @property
     def top_curvature(self) -> float:
-        """The curvature [1/m], which is the same along the whole circle."""
+        """The curvature [1/m]."""
         return 1.0 / self.radius
 
     def pose_at(self, length: float) -> Pose:
@@ -90,7 +87,7 @@ class Circle:
         return Pose(self.radius * s, self.radius * (1.0 - c), theta)
 
     def curvature_at(self, length: float) -> float:
-        """Return the curvature [1/m], which is the same at every `length`."""
+        """Return the curvature [1/m]."""
         return 1.0 / self.radius
 
     def distance_to(self, point: Pose, guess: float) -> float:
@@ -121,7 +118,7 @@ class Arc:
         return self.start.compose(local)
 
     def curvature_at(self, length: float) -> float:
-        """Return the curvature [1/m]. It is the same everywhere, and positive to the left."""
+        """Return the curvature [1/m], positive to the left."""
         return self.side / self.radius
 
     def distance_to(self, point: Pose, guess: float) -> float:
@@ -136,7 +133,7 @@ class Arc:
 
 
 EIGHT_SWING_RAD = 2.404825557695773
-"""First zero of the Bessel function J0: with this swing a sine-generated curve closes."""
+"""The first zero of the Bessel function J0, with which a sine-generated curve closes."""
 
 _PIECES = 720
 _PARTS = 8
@@ -146,8 +143,7 @@ _PARTS = 8
 class FigureEight:
     """A figure eight of `length` m that begins at its crossing, with evenly spaced `points`.
 
-    Its heading is a cosine of the length: the sine-generated curve of Langbein and Leopold (1966).
-    So the curvature has no step, and it is 0 at the crossing.
+    Its heading is a cosine of the length (the curve of Langbein and Leopold, 1966).
     """
 
     length: float
@@ -155,7 +151,7 @@ class FigureEight:
 
     @property
     def top_curvature(self) -> float:
-        """The largest curvature [1/m], which is at the ends of the two loops."""
+        """The largest curvature [1/m]."""
         return EIGHT_SWING_RAD * tau / self.length
 
     def pose_at(self, length: float) -> Pose:
@@ -172,7 +168,7 @@ class FigureEight:
         return self.top_curvature * sin(tau * length / self.length)
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance [m] from `point` to the curve, searched near length `guess`."""
+        """Return the distance [m] from `point` to the curve near `guess` m along it."""
         near = self.pose_at(guess % self.length).express(point)
         nearest = self.pose_at((guess + near.x) % self.length)
         return abs(nearest.express(point).y)
@@ -197,7 +193,7 @@ class FigureEightPart:
         return self.whole.curvature_at(self.begin + length)
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance [m] from `point` to the curve; the search starts near `guess` [m]."""
+        """Return the distance [m] from `point` to `whole` near `guess` m along the part."""
         return self.whole.distance_to(point, self.begin + guess)
 
 
@@ -215,10 +211,8 @@ def figure_eight(length: float) -> FigureEight:
 
 
 def figure_eight_parts(whole: FigureEight) -> tuple[FigureEightPart, ...]:
-    """Return the figure eight in parts, so that only its bends are driven slowly.
-
-    The curvature rises or falls throughout a part, so it is largest at one of its ends.
-    """
+    """Return the figure eight in equal parts."""
+    # In each part, the curvature rises or falls: it is largest at one of the part's ends.
     step = whole.length / _PARTS
     begins = [step * number for number in range(_PARTS)]
     return tuple(
@@ -240,7 +234,7 @@ curvature [1/m], without its sign; 1 for a turn. `distance_to` searches near the
 """
 
 NEAR_M = 0.05
-"""How far behind the reference the path is searched for the point nearest to the robot [m]."""
+"""The length of path behind the reference that `distance_to` searches [m]."""
 
 OUTLINE_PIECES = 180
 """The number of poses along all curves of an outline together."""
@@ -248,10 +242,10 @@ OUTLINE_PIECES = 180
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The segments of one lap; each segment begins where the previous one ends.
+    """The consecutive segments of one lap; a held velocity has none.
 
-    `reach_m` is the size of the path: a robot further from its reference does not follow the path.
-    A `closed` path ends at the pose where it begins. A held velocity has a path without segments.
+    A robot further than `reach_m` from its reference has lost the path. A `closed` path ends at the
+    pose where it begins.
     """
 
     segments: tuple[Segment, ...]

@@ -35,10 +35,7 @@ STRAIGHT_RAD, SHORTEST_M = 1e-6, 1e-9
 
 
 def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
-    """Return the waypoints of `course` relative to the origin of a drive that begins at `start`.
-
-    In reverse the origin looks backwards, so a point ahead of the robot is behind the origin.
-    """
+    """Return the waypoints of `course` relative to the origin of a drive that begins at `start`."""
     points = course.waypoints
     if course.frame is Frame.ODOM:
         local = [start.express(Pose(x, y)) for x, y in points]
@@ -49,8 +46,8 @@ def local_points(course: Course, start: Pose) -> tuple[Point, ...]:
 def waypoint_path(points: tuple[Point, ...], corner_m: float, *, again: bool) -> Path:
     """Return the path from the origin through the points; with `again`, back to the origin.
 
-    Points in the same place are one point. If the first point is not the origin, a leg leads to it.
-    A path whose points are all at the origin has no segments.
+    Consecutive points in the same place count once. The path has no segments if all points are at
+    the origin.
     """
     places = _places(points, again=again)
     legs = [_leg(a, b) for a, b in pairwise(places)]
@@ -137,7 +134,7 @@ MIN_SPEED_MPS, MAX_SPEED_MPS = 0.01, 10.0
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """A kind of pattern, its size (side, radius or length) and its speed; a turn has no size."""
+    """A kind of pattern with its size and speed; a turn has no size."""
 
     kind: PatternKind = setting(PatternKind.SQUARE, "pattern of `set-mode moving`", Change.ANY_TIME)
     size_m: float = bounded(
@@ -207,10 +204,10 @@ def _open(segment: Segment, reach_m: float) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The properties of a kind of pattern: its size's name and default, and its path for one lap.
+    """The properties of a kind of pattern; `lap` returns the path of one lap.
 
-    If `closed` is set, a lap ends where it begins; otherwise one lap is driven by default.
-    `has_corner` and `has_angle` say whether `corner_m` and `angle_rad` of a `Course` apply.
+    A pattern that is not `closed` is driven for one lap by default. `has_corner` and `has_angle`
+    say whether `corner_m` and `angle_rad` of a `Course` apply.
     """
 
     size_name: SizeName | None
@@ -251,7 +248,7 @@ SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
         ),
     }
 )
-"""The shape of every kind of pattern; the command line and the socket use it as well."""
+"""The shape of every kind of pattern."""
 
 
 def named(pattern: Pattern, course: Course) -> str:

@@ -1,8 +1,7 @@
-"""The safety table: what stops the robot, what each cause leads to, and when it has cleared.
+"""The safety table.
 
-A rule applies when its `check` finds something wrong. A rule that applies refuses the start of
-motion; in the modes of `raised_in` it also changes the mode to `action`. The rules are ordered by
-severity: the first one that applies decides.
+A rule whose `check` finds something wrong refuses the start of motion. In the modes of `raised_in`
+it also changes the mode to `action`. The most severe rule that applies decides.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ _REPORTED: tuple[Rule, ...] = tuple(
         (Cause.DAEMON_ENDS, _NEVER, Remedy.START_DAEMON),
     )
 )
-"""Rules for failures of the daemon, which it reports: the kernel cannot see them by itself."""
+"""Rules for the failures that the daemon reports."""
 
 _STOP = Mode.EMERGENCY_STOP
 _TROUBLE = checks.reported(Cause.TOPIC_TROUBLE)
@@ -145,7 +144,7 @@ _OF_INPUTS = (
 _FEWEST_IN = _rules_in(
     rule for rule in RULES if rule not in _REPORTED and rule.cause not in _OF_INPUTS
 )
-"""Those of `_MEASURED_IN` that can apply without safety inputs and scans, as on most robots."""
+"""The rules of `_MEASURED_IN` that can apply without safety inputs and scans."""
 
 
 def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Finding | None:

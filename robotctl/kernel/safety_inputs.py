@@ -31,7 +31,7 @@ class Use(Enum):
 
 
 REPEATS_PER_TIMEOUT = 4
-"""How many events an unchanged value causes per timeout, to show that the input is not silent."""
+"""The number of events per timeout for an unchanged value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class EstopParams:
-    """A std_msgs/Bool topic: true means pressed. In motion, a required topic must not be silent."""
+    """A std_msgs/Bool topic; true means pressed."""
 
     use: Use = setting(Use.OFF, "emergency stop topic", Change.START)
     topic: str = topic("estop_pressed", "its topic")
@@ -55,7 +55,7 @@ class EstopParams:
 
 @dataclass(frozen=True, slots=True)
 class JoyParams:
-    """The button on a sensor_msgs/Joy topic that acts as emergency stop; `button` counts from 0."""
+    """The button of a sensor_msgs/Joy topic that acts as emergency stop."""
 
     use: Use = setting(Use.OFF, "emergency stop on a gamepad", Change.START)
     topic: str = topic("joy", "its topic")
@@ -65,7 +65,7 @@ class JoyParams:
 
 @dataclass(frozen=True, slots=True)
 class BumperParams:
-    """A std_msgs/Bool topic: true means pressed."""
+    """A std_msgs/Bool topic; true means pressed."""
 
     use: Use = setting(Use.OFF, "bumper topic", Change.START)
     topic: str = topic("bumper", "its topic")

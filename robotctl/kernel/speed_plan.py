@@ -1,11 +1,7 @@
-"""How fast each segment of a path may be driven, planned ahead within the limits.
+"""The largest speed on each segment of a path within the limits.
 
-There are three passes over the path, as Kapania, Subosits and Gerdes (2016) describe them for cars.
-The first limits the speed by the curvature. The second, backwards, limits it so that the robot can
-brake in time. The third, forwards while the robot drives, limits its acceleration (`drive.py`).
-
-A drive asks for its path and its plan several times a tick with the same objects, so the last
-path and the last plan are cached by the identity of these objects.
+Kapania, Subosits and Gerdes (2016) describe the three passes for cars. The limits are curvature,
+then backwards braking, then forwards acceleration (in `drive.py`, while the robot drives).
 """
 
 from __future__ import annotations
@@ -30,7 +26,7 @@ JOINT_S = 0.09
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """The plan for one segment, in m or rad: top speed, acceleration, and the speed at its end.
+    """The plan for one segment, in m or rad.
 
     `end_speed` is 0 if the robot stops there; `last_end_speed` replaces it in the last lap.
     """
@@ -43,7 +39,7 @@ class Leg:
 
 
 def speed_plan(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Leg, ...]:
-    """Return a leg for each segment: it is driven at `speed_mps`, or slower because of `limits`."""
+    """Return a leg for each segment, with a speed of at most `speed_mps`."""
     segments = path.segments
     tops = [_top_speed(segment, speed_mps, limits) for segment in segments]
     accels = [_accel(segment, limits) for segment in segments]
@@ -108,6 +104,7 @@ def _begin_speed(segment: Segment, top: float, accel: float, end: float) -> floa
     return min(top, sqrt(end * end + 2.0 * accel * segment.length))
 
 
+# Cached by identity: a drive asks several times a tick with the same objects.
 _last_path: list[tuple[Pattern, Course, bool, Path]] = []
 _last_plan: list[tuple[Path, float, VelocityLimits, tuple[Leg, ...]]] = []
 
@@ -124,7 +121,7 @@ def path_for(pattern: Pattern, course: Course, laps: int) -> Path:
 
 
 def legs_for(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Leg, ...]:
-    """Return the legs of `speed_plan` for the same arguments; the last result is cached."""
+    """Return the result of `speed_plan`, cached."""
     for known_path, known_mps, known_limits, legs in _last_plan:
         if known_path is path and known_limits is limits and known_mps == speed_mps:
             return legs

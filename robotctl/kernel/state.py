@@ -1,4 +1,4 @@
-"""The memory of the kernel between two events: mode, motion, and what motion depends on."""
+"""The memory of the kernel between two events."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class SecondOdometry:
 
 @dataclass(frozen=True, slots=True)
 class OdometrySources:
-    """The publishers of odometry. The robot follows one publisher at a time, number `followed`.
+    """The publishers of odometry by number; the robot follows number `followed`.
 
-    `names` has pairs of number and node name for the last publishers found, `frames` has pairs of
-    number and frame. `dropped` counts the samples that were not used.
+    `names` pairs the last numbers with node names, `frames` with frames. `dropped` counts the
+    samples that were not used.
     """
 
     followed: int = 0
@@ -51,9 +51,9 @@ class OdometrySources:
 class CommandTopic:
     """Other nodes on the velocity command topic.
 
-    `foreign_t_ns` is the time of another node's last command or None, `foreign_by` its publisher
-    or "". `listeners` counts the subscriptions with `type_name`, the type that robotctl sends, and
-    is None before discovery. `other_types` are the types of all other subscriptions.
+    `foreign_t_ns` and `foreign_by` are of the last command of another node, None and "" before it.
+    `listeners` counts the subscriptions with `type_name`, the type that robotctl sends; None before
+    discovery. `other_types` are the types of all other subscriptions.
     """
 
     foreign_t_ns: int | None = None
@@ -75,10 +75,9 @@ class Stalls:
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """The last laser scan: the nearest ranges by direction [m], () if it was not readable.
+    """The last laser scan as the nearest ranges by direction [m], () if it was not readable.
 
-    `nearest_m` is the smallest range. `ahead_m` is the distance to the nearest obstacle in the
-    path of the present command, inf if there is none.
+    `ahead_m` is the distance to the nearest obstacle in the path of the command, inf if none.
     """
 
     t_ns: int
@@ -89,10 +88,10 @@ class Scan:
 
 @dataclass(frozen=True)
 class Health:
-    """What the kernel knows about everything that motion depends on.
+    """The kernel's knowledge of the robot and its sensors.
 
     - `odometry`: the last usable sample of the followed publisher.
-    - `odometry_t_ns`: when the followed publisher's last usable and new sample was received.
+    - `odometry_t_ns`: the receipt of the followed publisher's last usable and new sample.
     - `odometry_stamp_ns`, `odometry_fault`: from the last sample, usable or not; no fault is "".
     - `reported`: the faults that the daemon reported and has not cleared.
     - `battery_in_percent`: whether a full battery reports 100 instead of 1.
@@ -142,7 +141,7 @@ class Guarded:
 
 @dataclass(frozen=True)
 class State:
-    """The whole memory of the kernel: state, parameters and events determine every later effect.
+    """The whole memory of the kernel.
 
     - `reason`: the reason for the last mode change. `cause`: the cause of ERROR or EMERGENCY_STOP.
     - `stop_reason`: the reason for which the robot ramps down.
@@ -171,7 +170,7 @@ class State:
 
 
 def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:
-    """Return the first state after a restart for an emergency stop that was not released before."""
+    """Return the state after a restart with an emergency stop that was not released."""
     return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=cause)
 
 

@@ -1,8 +1,6 @@
 """The limits of a command, and closed-loop path tracking for a differential drive.
 
-The law is Samson's (1993), as written by Klancar and Skrjanc (2005), eq. 11. Unlike the law of
-Kanayama (1990), it also corrects the heading while the reference turns on the spot. The curvature
-is fed forward at the commanded speed, so that a robot that catches up stays on the path.
+The law is Samson's (1993), as written by Klancar and Skrjanc (2005), eq. 11.
 """
 
 from __future__ import annotations
@@ -57,7 +55,7 @@ def within(command: Twist, limits: VelocityLimits) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The pose that the robot should have on its path now, and the motion that it should make.
+    """The wanted pose and motion of the robot on its path.
 
     `linear` is the speed along the path [m/s], `curvature` the curvature of the path [1/m], and
     `turning` the rate of a turn on the spot [rad/s].
@@ -75,6 +73,7 @@ def track(reference: Reference, pose: Pose, gains: TrackingParams, limits: Veloc
     ahead, aside = direction(error.theta)
     sinc = aside / error.theta if abs(error.theta) > 1e-6 else 1.0
     linear = clamp(reference.linear * ahead + gains.k_x * error.x, limits.linear_mps)
+    # Curvature is fed forward at the commanded speed: a robot that catches up stays on the path.
     return Twist(
         linear,
         reference.turning

@@ -1,9 +1,8 @@
 """Elementary functions with the same result, bit for bit, on every processor and C library.
 
-The functions of `math` call the C library, where the last bit of a result depends on whether the
-processor has fused multiply-add. These functions use only + - * / and `sqrt`, which IEEE 754
-rounds exactly. Method and constants: fdlibm 5.3 (Sun Microsystems 1993), `k_sin.c`, `k_cos.c`,
-`e_rem_pio2.c`, `s_atan.c`, `e_exp.c`. Errors are at most 1 ulp, those of `tan` and `hypot` 2 ulp.
+They use only + - * / and `sqrt`, which IEEE 754 rounds exactly. Method and constants: fdlibm 5.3
+(Sun Microsystems 1993), `k_sin.c`, `k_cos.c`, `e_rem_pio2.c`, `s_atan.c`, `e_exp.c`. Errors are at
+most 1 ulp, those of `tan` and `hypot` 2 ulp.
 """
 
 from __future__ import annotations

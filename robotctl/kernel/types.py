@@ -1,8 +1,6 @@
-"""The values of the kernel: measurements, events (its input) and effects (its output).
+"""The measurements, events and effects of the kernel.
 
-Every event carries its steady time `t_ns` in nanoseconds: the kernel has no clock.
-
-A `Remedy` is only a name; `robotctl.ipc.advice` has the texts, with the commands for one robot.
+The `t_ns` of every event is steady time [ns].
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ ZERO = Twist()
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """An odometry sample: pose in the `odom` frame, velocity in the robot's frame, header stamp."""
+    """An odometry sample, with `pose` in the `odom` frame and `velocity` in the robot's frame."""
 
     pose: Pose
     velocity: Twist
@@ -44,10 +42,8 @@ T = TypeVar("T")
 
 
 def changed(value: T, **changes: Any) -> T:
-    """Return a copy of `value`, a frozen dataclass without slots, with the `changes` to its fields.
-
-    Use it for the dataclasses that each step copies: `dataclasses.replace` is far slower.
-    """
+    """Return a copy of a frozen dataclass without slots, with changed fields."""
+    # Each step copies some dataclasses: `dataclasses.replace` is far slower.
     fields = value.__dict__ | changes
     # A value that msgspec read from a journal has no entries for fields at their default.
     assert len(fields) <= len(vars(type(value))["__dataclass_fields__"]), changes
@@ -57,7 +53,7 @@ def changed(value: T, **changes: Any) -> T:
 
 
 class Cause(Enum):
-    """A cause for which the robot may not move; `robotctl.kernel.safety` has the effect of each."""
+    """A reason to stop the robot or to refuse its motion."""
 
     OPERATOR_STOP = "operator stop"
     ESTOP_PRESSED = "emergency stop pressed"
@@ -100,7 +96,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """The exclusive right of one client to start motion: the client's number, name and reason."""
+    """The exclusive right of one client to start motion; `source` is the client's name."""
 
     client: int
     source: str
@@ -109,7 +105,7 @@ class Lease:
 
 @dataclass(frozen=True, slots=True)
 class LeaseRequested:
-    """A request to take the lease, or, without `take`, to release it; answered by one `Reply`."""
+    """A request to take the lease, or to release it if `take` is False."""
 
     t_ns: int
     request_id: int
@@ -132,8 +128,7 @@ class LeaseLost:
 class ParameterRequested:
     """A request to change the parameter `key` from the text `old` to the text `new`.
 
-    The kernel answers with one `Reply`. The text of a float is its repr. The kernel checks the
-    values of its own parameters; the daemon has already checked all others.
+    The text of a float is its repr. The daemon has checked parameters that are not the kernel's.
     """
 
     t_ns: int
@@ -165,7 +160,7 @@ class LifecycleState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LifecycleChanged:
-    """The lifecycle node `source`, which gates motion, has changed to `state`."""
+    """The lifecycle node `source` has changed to `state`."""
 
     t_ns: int
     state: LifecycleState
@@ -182,10 +177,10 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class OdomReceived:
-    """A sample of odometry arrived; its values may be anything, even NaN.
+    """A sample of odometry; its values are unchecked and may be NaN.
 
-    `source` is the number of the publisher (see `OdometrySourceFound`), 0 if unknown. `sequence`
-    is the number that the publisher gave the sample.
+    `source` is the number of its publisher, 0 if unknown. `sequence` is the publisher's number for
+    it.
     """
 
     t_ns: int
@@ -196,10 +191,10 @@ class OdomReceived:
 
 @dataclass(frozen=True, slots=True)
 class OdometrySourceFound:
-    """A publisher of odometry sent its first sample, or its node name became known.
+    """A publisher of odometry is new, or its node name or frame became known or changed.
 
     `source` is its number from now on, `gid` its DDS identity, `name` its node name or "".
-    `frame_id` is the frame that its samples name, "" if unknown; each change causes a new event.
+    `frame_id` is the frame of its samples, "" if unknown.
     """
 
     t_ns: int
@@ -211,9 +206,9 @@ class OdometrySourceFound:
 
 @dataclass(frozen=True, slots=True)
 class BatteryReceived:
-    """The battery level as the gauge reports it; `battery.scale` says which value is full.
+    """The battery level as the gauge reports it.
 
-    `publisher` is the DDS identity of the gauge, `sequence` the number that it gave the message.
+    `publisher` is the DDS identity of the gauge, `sequence` its number for the message.
     """
 
     t_ns: int
@@ -224,10 +219,9 @@ class BatteryReceived:
 
 @dataclass(frozen=True, slots=True)
 class SafetyInputReceived:
-    """A message of a safety input; `detail` is the sender's text, if it has one.
+    """A message of a safety input; `detail` is the sender's text or "".
 
-    Of many equal messages, only some become events: enough to show that the input is not silent.
-    `publisher` and `sequence` are as in `BatteryReceived`.
+    Not every repeated value becomes an event. `publisher` and `sequence`: see `BatteryReceived`.
     """
 
     t_ns: int
@@ -240,10 +234,10 @@ class SafetyInputReceived:
 
 @dataclass(frozen=True, slots=True)
 class ScanReceived:
-    """A laser scan: the nearest range in each sector [m], counter-clockwise from straight behind.
+    """The nearest range of a laser scan in each sector [m], counter-clockwise from straight behind.
 
-    A range is inf if the sector is empty; `sectors` is () if the message is unreadable. `publisher`
-    and `sequence` are as in `BatteryReceived`.
+    The range of an empty sector is inf; `sectors` is () if the message is unreadable. `publisher`
+    and `sequence`: see `BatteryReceived`.
     """
 
     t_ns: int
@@ -254,10 +248,10 @@ class ScanReceived:
 
 @dataclass(frozen=True, slots=True)
 class ModeRequested:
-    """A request for the mode number `requested`, possibly invalid; answered by one `Reply`.
+    """A request for the mode number `requested`, which may be invalid.
 
-    `client` is the number of a client with a lease, as in `Lease`, else 0. `reason` is the client's
-    text. `remote` means that the request may come from another host.
+    `client` is the number in the client's `Lease`, else 0. A `remote` request may be of another
+    host.
     """
 
     t_ns: int
@@ -271,7 +265,7 @@ class ModeRequested:
 
 @dataclass(frozen=True, slots=True)
 class ResetRequested:
-    """A request to leave EMERGENCY_STOP or ERROR; answered by one `Reply`."""
+    """A request to leave EMERGENCY_STOP or ERROR."""
 
     t_ns: int
     request_id: int
@@ -281,10 +275,10 @@ class ResetRequested:
 
 @dataclass(frozen=True, slots=True)
 class DriveRequested:
-    """A request to drive `laps` laps (0: until stopped) of a pattern; answered by one `Reply`.
+    """A request to drive `laps` laps of a pattern, 0 for no end.
 
-    `client`, `reason` and `remote` are as in `ModeRequested`. With `replace`, the drive may replace
-    a running drive. `course` may replace the pattern by waypoints or a held velocity.
+    With `replace`, the drive may replace a running drive. `course` may replace the pattern by
+    waypoints or a held velocity. `client` and `remote` are as in `ModeRequested`.
     """
 
     t_ns: int
@@ -301,7 +295,7 @@ class DriveRequested:
 
 @dataclass(frozen=True, slots=True)
 class HoldReceived:
-    """A hold-to-run client repeats its request, with the velocity it wants now (NaN is possible).
+    """A hold-to-run client repeats its request, with a velocity that may be NaN.
 
     `hold` is the id of the drive's `DriveRequested`; `client` is as in `ModeRequested`.
     """
@@ -345,7 +339,7 @@ class CommandListenersSeen:
 class GuardedCommandReceived:
     """A velocity from another node that steers the motion; it is unchecked and may be NaN.
 
-    `publisher` and `sequence` are as in `BatteryReceived`.
+    `publisher` and `sequence`: see `BatteryReceived`.
     """
 
     t_ns: int
@@ -356,10 +350,10 @@ class GuardedCommandReceived:
 
 @dataclass(frozen=True, slots=True)
 class LoopStalled:
-    """The control loop stalled for `stalled_s` seconds.
+    """The control loop stalled for `stalled_s` seconds; `detail` names the blocking code.
 
-    Meanwhile a watchdog sent `zeros` zero commands, and `withheld` commands of the kernel were not
-    sent. `detail` describes the code that blocked the loop.
+    Meanwhile a watchdog sent `zeros` zero commands; `withheld` commands of the kernel were not
+    sent.
     """
 
     t_ns: int
@@ -413,7 +407,7 @@ Event = (
 
 
 class Remedy(Enum):
-    """One thing that the operator can do."""
+    """One thing that the operator can do; `robotctl.ipc.advice` has its text."""
 
     RELEASE_STOP = "release the emergency stop"
     CLEAR_ERROR = "clear the error"
@@ -497,9 +491,8 @@ class Reply:
 class DriveReport:
     """The length and the tracking errors of a drive, by odometry.
 
-    `closure_m` is the distance from the end of the path when the last complete lap ended; it is NaN
-    before the first such end. The heading errors are relative to the reference. A held velocity has
-    no path, so its four errors are 0; `without_errors` replaces them by NaN. In reports of older
+    `closure_m` is the robot's distance from the path's end when the last complete lap ended, NaN
+    before that. A held velocity has no path, so its four errors are 0. In reports of older
     versions, the last three fields are NaN.
     """
 
@@ -513,7 +506,7 @@ class DriveReport:
     duration_s: float = nan
 
     def without_errors(self) -> DriveReport:
-        """Return a copy whose four tracking errors are NaN; use it if they were not measured."""
+        """Return a copy whose four tracking errors are NaN."""
         return replace(
             self,
             cross_track_rms_m=nan,
@@ -525,9 +518,9 @@ class DriveReport:
 
 @dataclass(frozen=True, slots=True)
 class DriveEnded:
-    """The drive that `request_id` began has ended; `completed` means all its laps were driven.
+    """The drive of the request `request_id` has ended; `completed` is true after its last lap.
 
-    `cause` is why the robot had to stop, None if a request or the last lap ended the drive.
+    `cause` is None if a request or the last lap ended the drive.
     """
 
     request_id: int
