@@ -52,9 +52,12 @@ _POLICIES = {
     "durability": {"1": "transient_local", "2": "volatile"},
     "history": {"1": "keep_last", "2": "keep_all", "3": "unknown"},
 }
-"""The names of QoS values by their numbers in rmw/types.h: rosbag2 wrote the numbers before version
-9 of its metadata. The history is unknown if DDS did not report it to the recorder."""
+"""The names of QoS values by their numbers in rmw/types.h.
 
+rosbag2 wrote the numbers before version 9 of its metadata.
+"""
+
+# No YAML parser, as the file may be hostile.
 _ENTRY = re.compile(r"^ *(reliability|durability|history|depth): *(\w+)", re.MULTILINE)
 
 
@@ -87,7 +90,7 @@ def info(
 
 
 def as_object(found: RecordingInfo) -> dict[str, Any]:
-    """Return the object for `info --json`. Suffixes of keys are units; `_ns` is since the epoch."""
+    """Return the object for `info --json`; times in `_ns` are since the epoch."""
     from robotctl.recording.format.names import EVENT_RECORD, LEDGER_RECORD, EventKind
     from robotctl.recording.format.rosbag2 import METADATA_RECORD
     from robotctl.recording.format.topics import read_ledger
@@ -156,7 +159,7 @@ def info_lines(found: RecordingInfo) -> Iterator[str]:
 
 
 def event_lines(events: Sequence[RecordedEvent]) -> Iterator[str]:
-    """Yield a table of the last MAX_EVENTS_SHOWN events, or nothing if there are none."""
+    """Yield a table of the last MAX_EVENTS_SHOWN events, nothing without events."""
     if events:
         yield ""
         earlier = len(events) - MAX_EVENTS_SHOWN
@@ -168,7 +171,7 @@ def event_lines(events: Sequence[RecordedEvent]) -> Iterator[str]:
 def qos_text(offered: str) -> str:
     """Return the QoS that a topic's publishers offered, in words; "" if the file has none.
 
-    `offered` is YAML as rosbag2 writes it. No YAML parser is used, as the file may be hostile.
+    `offered` is YAML as rosbag2 writes it.
     """
     profiles = (
         dict(_ENTRY.findall(part)) for part in re.split(r"^- ", offered, flags=re.MULTILINE)

@@ -28,7 +28,7 @@ _COUNTS = {
     for name in ("received", *CountsAnswer.__annotations__, "unseen")
     if name != "throttled"
 }
-"""The counters of a topic and their column widths; `throttled` is rare and has its own line."""
+"""The counters of a topic and their column widths, without `throttled`."""
 
 _MIN_NAME_WIDTH = 24
 

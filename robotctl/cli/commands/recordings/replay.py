@@ -1,9 +1,4 @@
-"""replay: declares the options; these choose a function of one of two modules:
-
-- `replay_play`: publish to ROS with the original timing, or draw in the terminal (`--draw-only`).
-- `replay_check`: re-run the decisions and compare them (`--check`), re-run them with other
-  parameters (`--what-if`), or re-run the drives with a simulated robot (`--resim`).
-"""
+"""replay: its options; `replay_play` plays or draws, `replay_check` re-runs the decisions."""
 
 from __future__ import annotations
 
@@ -211,5 +206,5 @@ def replay(
 
 
 def _names(given: list[str] | None) -> tuple[str, ...]:
-    """Return the topic names of a repeatable option; a value may have several, with commas."""
+    """Return the topic names of a repeatable option, with comma-separated values."""
     return tuple(name for text in given or () for name in text.split(",") if name)

@@ -135,9 +135,9 @@ def compare_command(
 ) -> None:
     """Compare each recording with a re-run under `settings`; print tables, or one JSON object.
 
-    With `resim`, a simulated robot repeats the recorded drives, and `settings` may also change that
-    robot and `rate_hz`. Without it, the recorded measurements are used. An argument among `files`
-    that has an equals sign and names no file is one more setting.
+    With `resim`, a simulated robot repeats the drives, and `settings` may change that robot and
+    `rate_hz`, too. An argument among `files` that has an equals sign and names no file is one more
+    setting.
 
     Raises:
         UsageError: A setting is not allowed, or no recording is given.
@@ -179,13 +179,13 @@ def settings_lines(settings: Mapping[str, Mapping[str, object]]) -> list[str]:
 
 
 def table_row(label: str, cells: Sequence[str]) -> str:
-    """Return a row of a table as text: the label, then the cells, which are aligned right."""
+    """Return a row of a table as text: the label, then the right-aligned cells."""
     columns = "".join(f"{cell:>{_COLUMN_WIDTH}}" for cell in cells)
     return f"  {label:{_LABEL_WIDTH}}{columns}".rstrip()
 
 
 def missing_lines(found: Mapping[str, Any]) -> list[str]:
-    """Return the lines about the parts of a recording that could not be read."""
+    """Return the lines about the unreadable parts of a recording."""
     return [line for each in found["missing"] for line in row("  ", f"missing: {each}")]
 
 

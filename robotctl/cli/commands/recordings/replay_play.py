@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 KEYS = "space pause   n next message   + - rate   q quit"
 _BAR_WIDTH = 78
 LINE_S = 1.0
-"""The period of the lines that --draw prints without a terminal."""
+"""The period of the lines of --draw without a terminal [s]."""
 
 
 class Screen:
@@ -45,7 +45,7 @@ class Screen:
 
 @contextmanager
 def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
-    """Yield a screen that shows `robot`, if given, and the progress; it is empty if `quiet`."""
+    """Yield a screen for the progress and, if given, `robot`; it is empty if `quiet`."""
     if quiet:
         yield Screen()
     elif is_terminal():
@@ -80,7 +80,7 @@ class _Notes(Screen):
 
 
 class _Bar(Screen):
-    """A screen with a bar that updates in place, below the notes."""
+    """A screen with a bar below the notes."""
 
     def __init__(self, robot: RecordedRobot | None) -> None:
         from rich.live import Live
@@ -136,7 +136,7 @@ class _Bar(Screen):
 
 
 def bar_text(progress: dict[str, Any], position_s: float, length_s: float) -> str:
-    """Return a line with position, rate, pause, and how many messages are sent and overdue."""
+    """Return a line with position, rate, pause, and the numbers of sent and overdue messages."""
     rate = progress["rate"]
     parts = [
         f"{position_s:.1f} of {duration(length_s)}",
@@ -179,22 +179,22 @@ COMMAND_OF_KEY: Final = {
     "-": Command.SLOWER,
     "n": Command.NEXT,
 }
-"""All keys except QUIT; `=` is the plus key without Shift."""
+"""The command of each key except QUIT; `=` is the plus key without Shift."""
 
 QUIT: Final = "q"
 
 
 PLAYER: Final = "robotctl.replay"
-"""The module of the process that plays."""
+"""The module of the player process."""
 
 END_DEADLINE_S = 15.0
-"""How long the player may take to remove its publishers from the graph and exit."""
+"""The timeout for the player to remove its publishers from the graph and exit [s]."""
 
 
 def play_in_process(job: Job, open_screen: Callable[[], AbstractContextManager[Screen]]) -> _Player:
-    """Play a recording in a child process. Return the ended player with the reports of the process.
+    """Play a recording in a child process, and return the ended player.
 
-    The first Ctrl-C asks the process to end. The screen opens while the process joins ROS.
+    The first Ctrl-C ends the replay. The screen opens while the process joins ROS.
 
     Raises:
         RobotctlError: The process ended without a summary or an error.
@@ -223,7 +223,7 @@ def play_in_process(job: Job, open_screen: Callable[[], AbstractContextManager[S
 
 
 class _Player:
-    """Handles what the player process reports and what the user presses."""
+    """Handles the reports of the player process and the keys of the user."""
 
     def __init__(self, child: Child) -> None:
         self.child = child
@@ -257,7 +257,7 @@ class _Player:
                     self.send(COMMAND_OF_KEY[key].line())
 
     def suspend(self) -> None:
-        """Pause the player before Ctrl-Z stops this process."""
+        """Pause the player before this process stops."""
         self._was_playing = not self._paused
         self.send(Command.PAUSE.line())
         self.screen.suspend()
@@ -269,7 +269,7 @@ class _Player:
             self.send(Command.RESUME.line())
 
     def send(self, line: bytes) -> None:
-        """Send a line to the player process, unless it has ended: `wait_for_input` notices that."""
+        """Send a line to the player process, unless the process has ended."""
         with suppress(BrokenPipeError):
             self.child.send(line)
 
@@ -283,7 +283,7 @@ class _Player:
 
 
 def play_command(job: Job, *, draw: bool, as_json: bool) -> None:
-    """Publish a recording to ROS, and print the summary; if `draw`, also draw the robot.
+    """Publish a recording to ROS, and print the summary; if `draw`, draw the robot, too.
 
     Raises:
         Interrupted: Ctrl-C or a signal ended the replay.
@@ -346,7 +346,7 @@ def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
 
 
 class _Viewer:
-    """A recording that is drawn, not published: the job's rate and the keys set its position."""
+    """A recording that is drawn, at the job's rate and by keys."""
 
     def __init__(self, job: Job, robot: RecordedRobot, screen: Screen) -> None:
         self.quit = False
@@ -361,7 +361,7 @@ class _Viewer:
         return self.control.schedule.position_ns(time.monotonic_ns())
 
     def progress(self) -> dict[str, Any]:
-        """Return position, rate and pause in the form that the player process sends."""
+        """Return position, rate and pause as the player process reports them."""
         schedule = self.control.schedule
         position_s = self.position_ns / NS_PER_S
         return {"position_s": position_s, "rate": schedule.rate, "paused": schedule.paused}
@@ -375,7 +375,7 @@ class _Viewer:
             self._robot.advance(next_ns)
 
     def suspend(self) -> None:
-        """Pause the replay before Ctrl-Z stops this process."""
+        """Pause the replay before this process stops."""
         self._was_playing = not self.control.schedule.paused
         self.control.pause()
         self._screen.suspend()

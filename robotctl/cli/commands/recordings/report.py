@@ -111,7 +111,11 @@ def page_of(path: Path) -> Path:
 
 @contextmanager
 def _replaced(target: Path, cure: str = "") -> Iterator[IO[bytes]]:
-    """Yield a stream that replaces the file `target`; raise Refused if writing fails."""
+    """Yield a stream that replaces the file `target`.
+
+    Raises:
+        Refused: The file cannot be written.
+    """
     from robotctl.recording.format.disk import replaced_file
 
     try:
@@ -122,7 +126,7 @@ def _replaced(target: Path, cure: str = "") -> Iterator[IO[bytes]]:
 
 
 MAX_EXPLAINED: Final = 5
-"""How many incidents are explained at most: each explanation reads the journal once."""
+"""The maximum number of explained incidents; each explanation reads the journal once."""
 
 MAX_SENTENCES: Final = 20
 
@@ -130,7 +134,7 @@ _ROWS: Final = ("came_in", "known", "rule", "asked", "went_out", "since")
 
 
 def judge(path: Path, recorded: Recorded, *, quiet: bool) -> ReportFindings:
-    """Return the findings of `verify` and, if there is a journal, of `replay --check` and `why`."""
+    """Return the findings of `verify` and, with a journal, of `replay --check` and `why`."""
     from robotctl.check.run import check_recordings
     from robotctl.cli.commands.recordings.verify import verify_together
     from robotctl.show.page import ReportFindings
@@ -222,7 +226,7 @@ WIDTH, HEIGHT = 80, 23
 MAX_WIDTH: Final = 300
 LEAST_ROWS: Final = 4
 OTHER_LINES: Final = 2
-"""The lines of a field in addition to the rows of its curve: the name, and the time axis."""
+"""The lines of a field in addition to the rows of its curve."""
 
 
 @app.command()
@@ -282,7 +286,7 @@ def plot(
 
 
 def _plot_lines(found: Sequence[FieldSeries], duration_s: float) -> Iterator[str]:
-    """Yield the figures one below the other; together they fill the terminal if they fit in it."""
+    """Yield the figures one below the other, to fill the terminal."""
     from robotctl.show.terminal import LABEL, time_lines
 
     width, height = WIDTH, HEIGHT

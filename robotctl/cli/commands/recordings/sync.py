@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 app = new_app()
 
 BURST_S: Final = 0.5
-"""After a pause, the bytes that --limit-mbps allows in this time [s] may be sent at once."""
+"""After a pause, the limit's bytes of this time [s] may be sent at once."""
 
 _BITS: Final = 8e-6
 """Megabits per byte."""
@@ -239,7 +239,7 @@ class SyncPace:
     """Waits before each piece that `sync` sends; the end of the `with` block ends all waits."""
 
     def __init__(self, limit_mbps: float | None, robot: str | None) -> None:
-        """Allow `limit_mbps` [Mbit/s], and nothing while `robot` moves; None means: no limit."""
+        """Allow `limit_mbps` [Mbit/s], None for no limit, and nothing while `robot` moves."""
         self._bytes_per_s = None if limit_mbps is None else limit_mbps / _BITS
         self._robot = robot
         self._ended = threading.Event()
@@ -247,13 +247,13 @@ class SyncPace:
         """When to ask the daemon for its mode again, and when the limit allows more bytes."""
 
     def __enter__(self) -> Self:
-        """Ask the daemon once, so that an error ends the command before anything is sent.
+        """Ask the daemon for its mode once.
 
         Raises:
             RobotctlError: The daemon refused; nothing is raised if no daemon runs or answers.
         """
         if self._robot is not None:
-            with suppress(NoDaemon):
+            with suppress(NoDaemon):  # another error ends the command before anything is sent
                 _is_moving(self._robot)
         return self
 

@@ -110,7 +110,7 @@ def _gravest(answer: dict[str, Any]) -> RobotctlError | None:
 
 
 def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
-    """Print whether a clip is a part of `source`, and which links of the seal cover that part.
+    """Print whether a clip is a part of `source`, and the links of the seal over that part.
 
     Raises:
         Divergence: The clip or the source was changed, or the clip differs from the source.
@@ -174,13 +174,11 @@ def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
 
 
 def _links(file: WholeFile, start_ns: int, end_ns: int) -> dict[str, Any] | None:
-    """Return the signed links of a file that cover `start_ns` to `end_ns`, None if none does.
-
-    A link signs all bytes before it, so the first link at or after `end_ns` is the last one.
-    """
+    """Return the signed links of a file that cover `start_ns` to `end_ns`, None if none does."""
     after = [link for link in file.seal.links if link.time_ns >= start_ns]
     if not after or file.seal.links[0].time_ns > end_ns:
         return None
+    # A link signs all bytes before it: the first at or after `end_ns` covers the end.
     behind = next((n for n, link in enumerate(after) if link.time_ns >= end_ns), len(after) - 1)
     links = after[: behind + 1]
     return {
@@ -194,10 +192,9 @@ def _links(file: WholeFile, start_ns: int, end_ns: int) -> dict[str, Any] | None
 
 
 def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> dict[str, Any]:
-    """Verify each recording and the chain of all files, and compare them with `known_heads`.
+    """Verify recordings and the chain of their files, and return the object for `--json`.
 
-    Return the object for `--json`: `recordings` and the fields of the summary. If `head` is given,
-    one of the recordings must contain this digest.
+    If `head` is given, one of the recordings must contain this digest.
     """
     from robotctl.recording.read.whole_recording import Chain, VerifiedRecording, verify_recording
     from robotctl.recording.seal import known_heads
@@ -226,7 +223,7 @@ NOT_PROVED = (
 
 
 def _recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, Any]:
-    """Return one recording's object in `--json`; `heads` are what this user's journals know."""
+    """Return one recording's object in `--json`; `heads` are those in this user's journals."""
     from robotctl.recording.read.files import SUFFIX
     from robotctl.recording.read.whole_recording import RecordingProof, compare_known
 
@@ -264,7 +261,7 @@ def _recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, 
 def _summary_object(
     found: Sequence[VerifiedRecording], head: str, heads: KnownHeads
 ) -> dict[str, Any]:
-    """Return the summary of all recordings: their chain, the head, and what is not proved."""
+    """Return the summary of all recordings: their chain, the head, and the unproved."""
     from robotctl.recording.read.whole_file import SealState
     from robotctl.recording.read.whole_recording import check_chain, find_head
 
@@ -314,7 +311,7 @@ def recording_lines(report: dict[str, Any]) -> Iterator[str]:
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines to print for `summary`, the part of `--json` about all recordings."""
+    """Yield the lines to print for the part of `--json` about all recordings."""
     for name, label in (("wrong", "wrong"), ("notes", "note"), ("not_proved", "not proved")):
         for sentence in summary[name]:
             yield from row("", f"{label}: {sentence}")

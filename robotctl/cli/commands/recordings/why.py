@@ -37,15 +37,15 @@ app = new_app()
 
 @dataclass(frozen=True, slots=True)
 class FoundIncident:
-    """The incident that `why` found, and the recordings that it searched in vain."""
+    """An incident, with the recordings that were searched for it."""
 
     path: Path
     """The recording of the incident."""
     incident: Incident
     later: Sequence[Path]
-    """Later recordings, which were searched first and have no incident."""
+    """Later recordings, which have no incident."""
     missing: Sequence[str]
-    """A sentence for each part that could not be read."""
+    """A sentence for each unreadable part."""
 
 
 @app.command()
@@ -97,7 +97,7 @@ def _recordings_to_search(
 ) -> list[Path]:
     """Make a running daemon commit its recording; return the recordings to search, newest first.
 
-    What the daemon could not write is added to `missing`, as a sentence.
+    A sentence about messages that the daemon could not write is added to `missing`.
     """
     from robotctl.recording.read.files import is_bag
 
@@ -118,9 +118,9 @@ def _recordings_to_search(
 def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
     """Return the recording to search for the time `at`, and that time [ns].
 
-    It is the newest recording that contains the time; if none does, the newest that begins before
-    the time; if there is none either, the newest of all. Seconds in `at` count from the start of
-    the newest recording. Recordings that cannot be read are skipped and named in `missing`.
+    The choice is the newest recording that contains the time, else the newest that begins before,
+    else the newest. Seconds in `at` count from the start of the newest recording. Recordings that
+    cannot be read are named in `missing`.
 
     Raises:
         UnreadableFile: No recording can be read.
@@ -151,7 +151,7 @@ def _at(paths: Sequence[Path], at: str, missing: list[str]) -> tuple[Path, int]:
 def _find(
     paths: Sequence[Path], at_ns: int | None, missing: list[str], on_progress: Progress
 ) -> FoundIncident:
-    """Return the last incident, or the one nearest to `at_ns`, of the first recording that has one.
+    """Return the last incident, or the one nearest to `at_ns`, of the first recording with one.
 
     A recording that cannot be read is named in `missing`.
 
@@ -212,7 +212,7 @@ def _later(found: FoundIncident) -> str:
 
 
 def as_object(found: FoundIncident) -> dict[str, Any]:
-    """Return the object for `why --json`. Suffixes give the units; `log_ns` is since the epoch."""
+    """Return the object for `why --json`; `log_ns` is since the epoch."""
     from robotctl.check.journal import text_of
     from robotctl.check.why import explain, rule_of
 
