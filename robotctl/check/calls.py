@@ -1,11 +1,4 @@
-"""Check recorded calls of `set_mode` and `estop` against requests and replies of the journal.
-
-Each call that robotctl received is one request in the journal, in the same order, and each response
-that robotctl sent has the content of the reply in the journal.
-
-A service event (ServiceEventInfo, then request and response) of a server is a received call or a
-sent response; clients may publish their own events on the same topic.
-"""
+"""Check recorded calls of `set_mode` and `estop` against requests and replies of the journal."""
 
 from __future__ import annotations
 
@@ -39,7 +32,7 @@ RECEIVED, SENT = 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """A service that requests a mode; if `has_mode` is False, each call requests EMERGENCY_STOP."""
+    """A service that requests a mode; without `has_mode`, the mode is EMERGENCY_STOP."""
 
     name: str
     type_name: str
@@ -53,9 +46,9 @@ SERVICES = (
 
 
 class RecordedAnswer(NamedTuple):
-    """A response: whether the request was granted, its text, and the mode afterwards.
+    """A response to a call; `publish_ns` is the time of sending.
 
-    `mode` is None if the service has no field for it. `publish_ns` is the time of sending.
+    `mode` is None if the service has no field for it.
     """
 
     ok: bool
@@ -76,7 +69,7 @@ class ServiceEvent(NamedTuple):
 
 
 def read_service_event(service: Service, data: bytes, publish_ns: int) -> ServiceEvent | None:
-    """Return the server's event in a message, None if it is a client's event.
+    """Return the server's event in a message, or None for a client's event.
 
     Raises:
         struct.error: The message cannot be read.
@@ -106,23 +99,23 @@ def read_service_event(service: Service, data: bytes, publish_ns: int) -> Servic
 
 
 MAX_CALLS: Final = 100_000
-"""How many calls of one service are compared."""
+"""The maximum number of compared calls of one service."""
 
 MAX_AHEAD: Final = 1_000
-"""A call is compared with at most this many requests: those after the last paired request."""
+"""A call is compared with at most this many requests."""
 
 ANSWER_NS: Final = NS_PER_S
-"""A request at most this long before the end may lack its response, which follows a disk write."""
+"""A request at most this long before the end may lack its response."""
 
 MANY_IN_WORK: Final = 128
-"""A refusal as busy is plausible if more calls than this were open; robotctl accepts 256."""
+"""A refusal as busy is plausible above this number of open calls; robotctl accepts 256."""
 
 _BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
 
 
 @dataclass(slots=True)
 class Asked:
-    """A request in the journal, which is entry `seq`; `moments` are the times of its step."""
+    """A request in the journal, the entry `seq`; `moments` are the times of its step."""
 
     seq: int
     requested: int
@@ -134,7 +127,7 @@ class Asked:
 class Call:
     """A recorded call: the `requested` mode, the time of receipt, and the response, if any.
 
-    `in_work` is the number of calls that had no response when this call was received.
+    `in_work` is the number of calls without a response at the time of receipt.
     """
 
     requested: int
@@ -144,7 +137,7 @@ class Call:
 
     @property
     def was_refused_as_busy(self) -> bool:
-        """Whether the service refused the call because too many calls waited for their reply."""
+        """Whether the service refused the call because of too many open calls."""
         answer = self.answer
         return (
             self.in_work > MANY_IN_WORK
@@ -162,10 +155,10 @@ def _fits(asked: Asked, call: Call, clock: ClockChanges) -> bool:
 
 
 MAX_UNDER_WAY: Final = 1_000
-"""At the end, at most this many recorded calls may have no request in the journal."""
+"""The maximum number of recorded calls at the end without a request in the journal."""
 
 END_NS = 2 * NS_PER_S
-"""The call of a request at most this long before the end may be missing: it was under way."""
+"""The call of a request at most this long before the end may be missing."""
 
 
 class ServiceChecks:
@@ -183,14 +176,14 @@ class ServiceChecks:
         return {each.topic: each.message for each in self._all if each.is_recorded}
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Start the comparison at a snapshot that has a `Proof` (version 0.1.0 wrote none)."""
+        """Begin the comparison at a snapshot with a `Proof`."""
         if snapshot.proof is not None and not self._is_on:
             self._is_on = True
             for each in self._all:
                 each.begin(log_ns)
 
     def stop(self) -> None:
-        """Stop comparing until the next snapshot, because journal entries are missing."""
+        """Stop comparing until the next snapshot."""
         self._is_on = False
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
@@ -206,7 +199,7 @@ class ServiceChecks:
                     each.reply(effect)
 
     def end(self, ending: EndingOf, moment: JournalEnd) -> None:
-        """Report differences; `ending(topic)` and `moment` say how and when the journal ends."""
+        """Report the differences; call this at the end of the journal."""
         if self._is_on and ending(None).is_own:
             for each in self._all:
                 each.end(ending(each.topic), moment)
@@ -232,7 +225,7 @@ class ServiceCheck:
         self._asked: list[Asked] = []
         self._open_requests: dict[int, Asked] = {}
         self._answers_alone = 0
-        """The number of responses whose call is not recorded."""
+        """The number of responses without a recorded call."""
 
         self._others = sorted(topics.of_type(service.type_name) - {self.topic})
         self._is_left_out = topics.leaves_out(self.topic, service.type_name)
@@ -276,7 +269,7 @@ class ServiceCheck:
             self._calls.append(call)
 
     def request(self, event: ModeRequested, seq: int, moments: Moments) -> None:
-        """Note the request `event`, which is the journal's entry number `seq`."""
+        """Add the request `event`, the journal's entry number `seq`."""
         if event.source == self._source and not self._is_full:
             asked = Asked(seq, event.requested, moments)
             self._open_requests[event.request_id] = asked
@@ -317,7 +310,7 @@ class ServiceCheck:
                 continue
             unheard += self._asked[first:at]
             pairs.append((self._asked[at], call))
-            first = at + 1
+            first = at + 1  # calls and requests have the same order
         self._tell_unasked(unasked, ending, moment.log_ns)
         self._tell_unheard(unheard, self._asked[first:], ending, moment.t_ns)
         self._tell_answers(pairs, ending, moment.t_ns)
@@ -347,7 +340,7 @@ class ServiceCheck:
     def _tell_unheard(
         self, unheard: list[Asked], last: list[Asked], ending: Ending, end_ns: int
     ) -> None:
-        """Report the requests without a call; `last` are those after the last one with a call."""
+        """Report the requests without a call; `last` are those after the last call."""
         recent = [each for each in last if end_ns - each.moments[0] <= END_NS]
         unheard = unheard + last[: len(last) - len(recent)]
         if ending.ledger is not None and ending.is_whole:
@@ -373,7 +366,7 @@ class ServiceCheck:
             ending.lack(len(unheard), text)
 
     def _tell_answers(self, pairs: list[tuple[Asked, Call]], ending: Ending, end_ns: int) -> None:
-        """Compare each response with the reply; report those that are missing before the end."""
+        """Report the first difference of a response and its reply, and missing responses."""
         for asked, call in pairs:
             if text := self._difference(asked, call):
                 ending.accuse(f"{self.topic}: {text}")
@@ -395,7 +388,7 @@ class ServiceCheck:
             )
 
     def _difference(self, asked: Asked, call: Call) -> str:
-        """Return how a response differs from the reply in the journal, "" if it does not."""
+        """Return the difference of a response and the reply in the journal, "" for none."""
         reply, answer = asked.reply, call.answer
         if reply is None or answer is None:
             return ""

@@ -1,7 +1,4 @@
-"""A closed loop of kernel and simulated robot, in which a recorded run can be simulated again.
-
-Time is virtual, without clock and ROS, so that two runs differ only by their parameters.
-"""
+"""Simulate a recorded run again: a closed loop of kernel and simulated robot in virtual time."""
 
 from __future__ import annotations
 
@@ -55,12 +52,12 @@ from robotctl.recording.read.journal_reader import read_journal
 from robotctl.sim import Robot, SimParams
 
 TICK_AFTER_ODOMETRY_NS = 1_000_000
-"""Ticks follow odometry after this time, because tracking is best with fresh odometry."""
+"""The delay of ticks after odometry; tracking is best with fresh odometry."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """The initial odometry and battery level (0..1), used where the kernel does not know them."""
+    """The initial odometry and battery level (0..1), if the kernel does not know them."""
 
     odometry: Odometry | None = None
     battery: float | None = None
@@ -71,8 +68,8 @@ def closed_loop(
 ) -> Iterator[tuple[Event, tuple[Effect, ...]]]:
     """Yield every event with its effects from `begin_ns` (steady) on, without end.
 
-    `requests` are ordered by time, and each reaches the kernel at its `t_ns`. The robot begins with
-    the kernel's pose, velocity and battery level; what the kernel does not know comes from `start`.
+    `requests` are ordered by time, and each reaches the kernel at its `t_ns`. The robot begins in
+    the kernel's state; `start` replaces an unknown odometry or battery level.
 
     Raises:
         UnreadableFile: The kernel cannot continue from its state.
@@ -118,7 +115,7 @@ def closed_loop(
 
 
 MAX_REQUESTS: Final = 100_000
-"""Maximum number of requests that are repeated; `missing` of the result reports more."""
+"""The maximum number of repeated requests; `missing` of the result reports more."""
 
 _WITHOUT_ID = (LeaseLost, GuardedCommandReceived, HoldReceived, LifecycleChanged)
 _REPEATED = (
@@ -131,10 +128,10 @@ _RESULTS = frozenset(kind.__name__ for kind in (DriveEnded, Reply))
 
 @dataclass(slots=True)
 class Run:
-    """The requests of a recorded or simulated run, and the outcome of each.
+    """The requests of a recorded or simulated run, and their outcomes.
 
-    `refused` has the text of each refusal, and `drives` has the figures of each drive that ended.
-    Their keys are the request ids, or negative numbers for requests without id.
+    `refused` has the text of each refusal, `drives` the figures of each ended drive. Their keys are
+    the request ids, or negative numbers for requests without id.
     """
 
     begin_ns: int = 0
@@ -175,7 +172,7 @@ class Run:
             self.requests[event.request_id] = event
 
     def effect(self, effect: Effect, t_ns: int) -> None:
-        """Note a refusal or the end of a drive; its duration is None if its request is unknown."""
+        """Add a refusal or the end of a drive."""
         if isinstance(effect, Reply) and not effect.ok and effect.request_id in self.requests:
             self.refused[effect.request_id] = effect.message
         elif isinstance(effect, DriveEnded):
@@ -203,7 +200,7 @@ class Run:
 
 
 def figures(report: DriveReport) -> dict[str, Any]:
-    """Return the figures of a drive as JSON values, None for a figure that is unknown."""
+    """Return the figures of a drive as JSON values, None for an unknown figure."""
     return {
         "laps": report.laps,
         "distance_m": report.distance_m,
@@ -214,10 +211,10 @@ def figures(report: DriveReport) -> dict[str, Any]:
 
 
 MAX_SPAN_NS = 7 * round(DAY_S) * NS_PER_S
-"""Maximum duration of a recording that is simulated: a week."""
+"""Maximum duration of a recording for a simulation: a week."""
 
 LONGEST = 10
-"""Maximum simulated time, as a multiple of the recording's: a drive may end later than recorded."""
+"""Maximum simulated time, as a multiple of the recording's."""
 
 
 def resimulate(
@@ -227,8 +224,8 @@ def resimulate(
 ) -> dict[str, Any]:
     """Simulate a recording again, and return the JSON object of `replay --resim --json`.
 
-    If there are `settings`, simulate it a second time with them. `on_progress` is called with the
-    simulated time and the length of the recording [ns].
+    With `settings`, simulate it a second time with them. `on_progress` gets the simulated time and
+    the length of the recording [ns].
 
     Raises:
         UnreadableFile: The journal has no snapshot to begin from, or its times are impossible.
@@ -289,7 +286,7 @@ def resimulate(
 
 
 def _no_drive(run: Run, recorded: Run, request_id: int) -> str:
-    """Return why `run` has no drive with this `request_id`."""
+    """Return the reason why `run` has no drive with this `request_id`."""
     if request_id in run.refused:
         return f"refused: {run.refused[request_id]}"
     if request_id in recorded.refused:
@@ -302,7 +299,7 @@ def _simulate(
 ) -> Run:
     """Repeat the requests with a simulated robot until the recording and the drive have ended.
 
-    Other nodes are not simulated. Requests that were refused in the recording are not repeated.
+    Other nodes, and requests that were refused in the recording, are left out.
     """
     alone = replace(state.health, foreign_publishers=(), command_topic=CommandTopic())
     kernel = Kernel(config.kernel, replace(state, health=alone))

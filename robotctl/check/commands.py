@@ -1,12 +1,7 @@
 """Pair each recorded velocity command with its decision in the journal, by number and value.
 
-Each command that the kernel decides is sent with the next sequence number of our publisher. So is
-each zero that the watchdog sends while the control loop stalls; after the stall, the journal gets
-their count. The journal thus gives the velocity for each number. A message with another number or
-velocity is from another publisher, or was not decided.
-
-A daemon that fails sends its last zeros without a decision. If the recording ends too early, its
-journal explains neither these zeros nor those of the watchdog.
+Decided commands, and zeros of the watchdog during a stall, have consecutive sequence numbers. The
+last zeros of a daemon that fails have no decision.
 """
 
 from __future__ import annotations
@@ -63,7 +58,7 @@ def numbers_of(data: bytes) -> bytes:
 
 
 def is_zero(numbers: bytes) -> bool:
-    """Return whether these numbers command no motion; a negative zero commands none either."""
+    """Return whether the numbers command no motion, as negative zeros do not, either."""
     return numbers == STILL or not any(_NUMBERS.unpack(numbers))
 
 
@@ -79,41 +74,43 @@ def shown_command(numbers: bytes) -> str:
 
 
 LATE_NS: Final = NS_PER_S // 2
-"""How long before or after its step a command may be sent."""
+"""The tolerance for the time of a command, before and after its step."""
 
 MAX_LATE: Final = 20_000
-"""How many commands sent outside of their step are kept: the newest ones."""
+"""The maximum number of kept commands outside of their step."""
 
 NEAR_NS: Final = 5 * NS_PER_S
-"""A command this close to the time when another publisher was noticed may be from that one."""
+"""A command this close to the presence of another publisher may be from that one."""
 
 LAST_ZEROS: Final = 2
-"""A daemon that fails while the robot moves may send this many zeros after the last decision."""
+"""The maximum number of zeros of a failing daemon after the last decision."""
 
 ZERO_PERIOD_NS: Final = NS_PER_S // 25
-"""A lower bound of the time between two zeros of the watchdog, which sends one every 50 ms."""
+"""A lower bound of the watchdog's period, which is 50 ms."""
 
 STALL_NS: Final = 10 * NS_PER_S
-"""The longest stall that may last until the end of the recording."""
+"""The longest stall at the end of the recording."""
 
 MAX_ZEROS: Final = 20_000
-"""At most this many zeros of a stall are compared."""
+"""The maximum number of compared zeros of a stall."""
 
 JOURNAL_LAG_NS: Final = NS_PER_S
-"""How far a journal that was received from a robot may lag behind the recorded commands."""
+"""The maximum lag of a robot's received journal behind the recorded commands."""
 
 EDGE_NS: Final = 2 * NS_PER_S
-"""A command decided before the first snapshot may be recorded this long after that snapshot. The
-message of a command decided this long before the end may be missing."""
+"""A command from before the first snapshot may be recorded this long after that snapshot.
+
+The message of a command decided this long before the end may be missing.
+"""
 
 RECENT: Final = 64
-"""How many commands before a stall may have been withheld by it."""
+"""The maximum number of commands that one stall may withhold."""
 
 CUT: Final = 3
-"""How many commands at the end of a clip may have their decision after the clip's end."""
+"""The maximum number of commands at the end of a clip with a later decision."""
 
 SEND_FAILED: Final = f"{PublishTwist.__name__} failed"
-"""Part of the detail of the fault that reports a command that could not be sent."""
+"""Part of the detail of a fault about a command that could not be sent."""
 
 
 def follows(number: int, other: int) -> bool:
@@ -123,9 +120,9 @@ def follows(number: int, other: int) -> bool:
 
 @dataclass(slots=True)
 class DecidedCommand:
-    """A command in the journal: its six `numbers`, and the `moments` at which its step was handled.
+    """A command in the journal: its six `numbers`, and the `moments` of its step.
 
-    `withheld` is when a zero was sent in place of the command, during a stall.
+    `withheld` is the time of the zero that replaced the command in a stall.
     """
 
     numbers: bytes
@@ -143,21 +140,21 @@ class SentCommand(NamedTuple):
 
 
 class OtherPublishers:
-    """The periods in which the journal reports other publishers of commands; steady times [ns]."""
+    """The periods of other publishers of commands in the journal; steady times [ns]."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[int, float]] = deque(maxlen=10_000)
         """Begin and end of each period."""
 
     def begin(self, health: Health, t_ns: int) -> None:
-        """Note the other publishers in `health`, which is from a snapshot at `t_ns`."""
+        """Add the other publishers in `health`, which is from a snapshot at `t_ns`."""
         topic = health.command_topic
         if topic.foreign_t_ns is not None:
             self._seen.append((topic.foreign_t_ns, topic.foreign_t_ns))
         self.step(CommandPublishersSeen(t_ns, health.foreign_publishers))
 
     def step(self, event: Event) -> None:
-        """If `event` reports other publishers, note when they were present."""
+        """Add the presence of other publishers, if `event` reports it."""
         is_there = bool(self._seen) and self._seen[-1][1] == inf
         if isinstance(event, ForeignCommandHeard) and not is_there:
             self._seen.append((event.t_ns, event.t_ns))
@@ -175,11 +172,11 @@ class OtherPublishers:
 
 @dataclass(slots=True)
 class CommandCounts:
-    """The number of commands of each kind that the comparison found, with first examples."""
+    """The number of commands of each kind, with first examples."""
 
     paired: int = 0
     missing: int = 0
-    """Decided commands without a message, between others that have one."""
+    """Decided commands without a message, between others with one."""
 
     missing_example: str = ""
     before_first: int = 0
@@ -197,7 +194,7 @@ class CommandCounts:
     """Messages after the end of a journal that was received from a robot."""
 
     undecided: int = 0
-    """Messages at the end whose decision may come after the journal's end."""
+    """Messages at the end with a possible decision after the journal's end."""
 
     old: int = 0
     recent: int = 0
@@ -205,7 +202,7 @@ class CommandCounts:
 
     out_of_order: int = 0
     resumed: int = 0
-    """How many snapshots have another count of commands than the journal before them."""
+    """The number of snapshots with another count of commands than the journal before them."""
 
     unsent: bool = False
     """Whether the journal reports that a command could not be sent."""
@@ -225,19 +222,19 @@ class CommandPairs:
         self._waiting: Waiting[DecidedCommand, SentCommand] = Waiting(self._judge)
         self._recent: deque[DecidedCommand] = deque(maxlen=RECENT)
         self._has_ended = False
-        """Whether the last snapshot counts zeros without a decision, as a failing daemon sends."""
+        """Whether the last snapshot counts zeros without a decision."""
 
         self._number = 0
         """The number of the last command that was decided in the journal or is in its counts."""
 
         self._base = 0
-        """The number of the last command before counting began; 0 if there was none."""
+        """The number of the last command before counting began, or 0."""
 
         self._base_ns = 0
-        """When counting began (steady)."""
+        """The begin of counting (steady)."""
 
         self._paired: tuple[int, int] | None = None
-        """The first and the newest number that was paired since counting began."""
+        """The first and the newest paired number since counting began."""
 
         self._lacking = self._lacking_recent = 0
         self._lacking_example = ""
@@ -265,7 +262,7 @@ class CommandPairs:
         self._waiting.slot(number).sent.append(sent)
 
     def resume(self, proof: Proof, health: Health, t_ns: int) -> None:
-        """Start or continue at a snapshot; `proof` has the number of commands sent before it."""
+        """Begin or continue at a snapshot; `proof` has the number of commands sent before it."""
         number = proof.commands & MAX_SEQUENCE
         more = (proof.commands - self._number) & MAX_SEQUENCE
         was_moving = bool(self._recent) and not is_zero(self._recent[-1].numbers)
@@ -283,7 +280,7 @@ class CommandPairs:
             self.is_counting = True
 
     def stop(self) -> None:
-        """Stop comparing until the next snapshot, because journal entries are missing."""
+        """Stop comparing until the next snapshot."""
         for number, slot in self._waiting.rest():
             self._pair(number, slot)
         self.is_counting = False
@@ -292,7 +289,7 @@ class CommandPairs:
         self._lacking = self._lacking_recent = 0
 
     def step(self, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Process a journal step; each command among its effects should have a recorded message."""
+        """Read a journal step; each of its commands should have a recorded message."""
         if not self.is_counting:
             return
         self._t_ns, self._log_ns, _ = moments
@@ -334,7 +331,7 @@ class CommandPairs:
             self._decide(STILL, during)
 
     def _judge(self, number: int, slot: Slot[DecidedCommand, SentCommand]) -> None:
-        """Count the decisions and messages of one number that have no counterpart."""
+        """Count the decisions and messages of one number without a counterpart."""
         for decided in self._pair(number, slot):
             self._lack(number, decided)
         self._doubt(slot.sent)
@@ -356,7 +353,7 @@ class CommandPairs:
         return lacking
 
     def _found(self, number: int, moments: Moments, sent: SentCommand) -> None:
-        """Count a pair; note whether the command was sent early, late or out of order."""
+        """Count a pair, and a command that was sent early, late or out of order."""
         counts, (steady_ns, begin_ns, end_ns) = self.counts, moments
         is_late = end_ns and not begin_ns - LATE_NS <= sent.publish_ns <= end_ns + LATE_NS
         if is_late and self._others.may_have_sent(sent.t_ns):
@@ -407,10 +404,10 @@ class CommandPairs:
                 counts.after_end += 1
 
     def end(self, cut: int, *, is_own: bool, is_closed: bool) -> None:
-        """Count the commands and messages that are not paired when the recording ends.
+        """Count the commands and messages without a counterpart at the end of the recording.
 
-        Up to `cut` messages may belong to decisions after the end. A journal that was received from
-        a robot (not `is_own`) may end before the recorded commands do.
+        Up to `cut` messages may have a later decision. A received journal (not `is_own`) may end
+        before the commands.
         """
         end_ns = inf if is_own else self._t_ns - JOURNAL_LAG_NS
         doubted: list[SentCommand] = []
@@ -435,7 +432,7 @@ class CommandPairs:
         self.counts.old = self._lacking - self._lacking_recent
 
     def _may_end_with(self, message: SentCommand, later: int, is_own: bool) -> bool:
-        """Return whether a message, numbered `later` after the last decision, may lack its own."""
+        """Return whether a message, `later` numbers after the last decision, may have none."""
         after_ns = message.publish_ns - self._log_ns
         if not is_own:
             return after_ns > -JOURNAL_LAG_NS
@@ -462,7 +459,7 @@ class CommandCheck:
         self._seen = 0
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler by topic name; empty if the topic is not recorded."""
+        """Return the message handler by topic name; {} if the topic is not recorded."""
         return {} if self._topic is None else {self._topic: self._message}
 
     def _message(self, message: Message) -> None:
@@ -477,12 +474,12 @@ class CommandCheck:
         self._pairs.message(message.sequence, message.data, message.publish_ns)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Start or continue at a snapshot that has a `Proof` (version 0.1.0 wrote none)."""
+        """Begin or continue at a snapshot with a `Proof`."""
         if snapshot.proof is not None:
             self._pairs.resume(snapshot.proof, snapshot.state.health, t_ns)
 
     def stop(self) -> None:
-        """Stop comparing until the next snapshot, because journal entries are missing."""
+        """Stop comparing until the next snapshot."""
         self._pairs.stop()
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:

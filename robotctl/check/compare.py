@@ -32,10 +32,7 @@ from robotctl.recording.format.names import MADE_BY, OWN_ARITHMETIC
 
 MAX_FORMS = 4096
 MAX_FORM_BYTES = 1000
-"""A form is the text of an entry without its digits; each form is parsed only once.
-
-At most MAX_FORMS forms up to MAX_FORM_BYTES are stored, because a request may have any text.
-"""
+"""Limits on the stored forms, the texts of entries without digits [forms, bytes]."""
 
 _READERS = {
     EntryKind.EVENT: read_event,
@@ -45,7 +42,7 @@ _READERS = {
 
 
 def without_retired_fields(entry: JournalEntry) -> JournalEntry:
-    """Return the entry without the fields that this version has retired, if they are at default."""
+    """Return the entry without retired fields that have their default value."""
     names = {
         path.partition(".")[2]: default
         for path, default in retired.JOURNAL_FIELDS.items()
@@ -69,7 +66,7 @@ def without_retired_fields(entry: JournalEntry) -> JournalEntry:
 
 
 class Vocabulary:
-    """Finds unknown fields in entries. Of entries that differ only in digits, it parses one."""
+    """Finds unknown fields in entries."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, bytes]] = set()
@@ -80,6 +77,7 @@ class Vocabulary:
         Raises:
             UnreadableFile: The entry is not of this version.
         """
+        # Entries that differ only in digits have one form, which is parsed once.
         form = (entry.name, entry.data.encode().translate(None, b"0123456789"))
         if form in self._known:
             return ""
@@ -101,7 +99,7 @@ class JournalFormat:
         self._vocabulary: Vocabulary | None = Vocabulary()
 
     def begin(self, entry: JournalEntry) -> None:
-        """Report a recording that names this version but whose first snapshot has other fields.
+        """Report a first snapshot that names this version, but has other fields.
 
         Raises:
             UnreadableFile: The entry is not a snapshot of this version.
@@ -114,7 +112,7 @@ class JournalFormat:
             )
 
     def compare(self, *entries: JournalEntry) -> None:
-        """Report the first field in `entries` that this version does not know.
+        """Report the first unknown field in `entries`.
 
         Raises:
             UnreadableFile: An entry is not of this version.
@@ -139,13 +137,13 @@ def other_field(entry: JournalEntry) -> str:
 
 
 def _differing_fields(entry: JournalEntry) -> Iterator[tuple[bool, str]]:
-    """Return the `_differing` fields of an entry and of the value that this version reads in it."""
+    """Return the `_differing` fields of an entry and of its value in this version."""
     ours = to_json(_READERS[entry.kind](entry))
     return _differing("", json.loads(entry.data), json.loads(ours))
 
 
 def _differing(path: str, theirs: Any, ours: Any) -> Iterator[tuple[bool, str]]:
-    """Yield the path of each field that only one side has, and whether only theirs has it."""
+    """Yield the path of each field on only one side, and whether only `theirs` has it."""
     if isinstance(theirs, dict) and isinstance(ours, dict):
         for name in ours:
             if name not in theirs:
@@ -161,13 +159,13 @@ def _differing(path: str, theirs: Any, ours: Any) -> Iterator[tuple[bool, str]]:
 
 
 WORDING = frozenset({"reason", "message", "stop_reason"})
-"""Fields that hold sentences: another version may word the same decision differently."""
+"""Fields with sentences, which may differ between versions."""
 
 _quick_json = msgspec.json.Encoder().encode
 """Same as `to_json` except for floats with an exponent, nan, inf, and text beyond ASCII."""
 
 DECISION_NAMES = frozenset(kind.__name__ for kind in get_args(Decision))
-"""Names of the effects that are compared if another version made the recording."""
+"""Names of the effects that are compared in a recording of another version."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +182,7 @@ class Comparison:
 
     @property
     def same_arithmetic(self) -> bool:
-        """Whether the kernel's own functions computed the floats, not those of a C library."""
+        """Whether the kernel's own functions computed the floats."""
         return self.made_by.startswith(OWN_ARITHMETIC)
 
     @property
@@ -193,7 +191,7 @@ class Comparison:
         return self.same_version and self.same_arithmetic
 
     def notes(self) -> Iterator[str]:
-        """Yield a sentence for each reason why something is not compared exactly."""
+        """Yield a sentence for each limit on the exactness."""
         if not self.same_version:
             yield (
                 f"made by robotctl {self.version or '(unknown version)'}, this is {__version__}: "
@@ -248,7 +246,7 @@ class Comparison:
 
 
 class Decided(NamedTuple):
-    """The result of one step; `effects` is None if the kernel diverged or there is no kernel."""
+    """The result of one step; `effects` is None after a divergence or without a kernel."""
 
     event: Event
     effects: tuple[Effect, ...] | None = None
@@ -268,7 +266,7 @@ class Rerun:
         self._same_version = comparison.same_version
 
     def stop(self) -> None:
-        """Drop the kernel until the next snapshot, because journal entries are missing."""
+        """Drop the kernel until the next snapshot."""
         self.kernel = None
 
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
@@ -339,7 +337,7 @@ class Rerun:
     def _divergence(
         self, recorded: JournalEntry | None, mine: Any, before: State | None
     ) -> Divergence:
-        """Describe the difference between a recorded entry and a decision; one may be missing."""
+        """Return the difference between a recorded entry and a decision; one may be missing."""
         at = recorded or self._event
         assert at is not None
         differences: list[str] = []

@@ -21,18 +21,18 @@ from robotctl.recording.format.journal import EntryKind, JournalEntry
 from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import journal_topic, read_journal
 
-SPACING_M = 0.03
-"""A pose nearer than this to the last point is skipped, as a robot may roll a little at a stop."""
+SPACING_M = 0.03  # a robot may roll a little at a stop
+"""A pose nearer than this to the last point is skipped."""
 
 TOLERANCE_M = 0.005
-"""How far a point of the driven path may be from the path through the waypoints."""
+"""The maximum distance of a driven point from the path through the waypoints."""
 
 
 def driven_path(path: Path, frame: Frame, on_missing: Callable[[str], None]) -> tuple[Point, ...]:
     """Return waypoints of the last motion in a recording, () if the robot did not drive.
 
-    If there is no journal, the waypoints follow all recorded odometry. `on_missing` gets a sentence
-    about each part of the recording that cannot be read: a later motion may be in that part.
+    Without a journal, the waypoints follow all recorded odometry. `on_missing` gets a sentence
+    about each unreadable part of the recording.
 
     Raises:
         UnreadableFile: The recording cannot be read, or a part of the motion is missing.
@@ -144,7 +144,7 @@ def _last_motion(recording: Recording, missing: list[str]) -> _Motion:
 
 
 def _entries(recording: Recording, missing: list[str]) -> Iterator[JournalEntry]:
-    """Yield the entries of the journal as far as they can be read."""
+    """Yield the readable entries of the journal."""
     try:
         for _, entry in read_journal(recording, lambda text: note_missing(missing, text)):
             yield entry

@@ -1,6 +1,6 @@
 """Check how a recording begins and ends: its first entries, proofs of snapshots, loss ledger.
 
-A proof is the count of commands and the CRC of entries before a snapshot; 0.1.0 wrote none.
+A proof is the count of commands and the CRC of entries before a snapshot.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from robotctl.recording.read.journal_reader import own_journal_topic
 from robotctl.recording.read.messages import Message
 
 IN_SOURCE = "a clip does not tell what was lost, its source does"
-"""Why the losses of a clip are not known."""
+"""The reason for the unknown losses of a clip."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """The end of a recording for one of its topics; it decides if a difference is a violation."""
+    """The end of a recording for one of its topics."""
 
     report: Report
     invariants: Invariants
@@ -43,20 +43,20 @@ class Ending:
 
     is_clip: bool
     is_own: bool
-    """Whether the recorder wrote the journal itself; a journal that it received may lag."""
+    """Whether the recorder wrote the journal itself; a received journal may lag."""
 
     is_whole: bool
-    """Whether the recording is a folder whose last file is there: no message is in a later file."""
+    """Whether the recording is a folder with its last file."""
 
     has_begin: bool
-    """Whether the journal is there from its first entry on."""
+    """Whether the journal has its first entry."""
 
     has_gaps: bool
     """Whether a gap in the journal or in the data may explain a difference."""
 
     @property
     def is_closed(self) -> bool:
-        """Whether the recording is whole and was closed: nothing is missing at its end."""
+        """Whether the recording is whole and was closed."""
         return self.is_whole and self.ledger is not None
 
     @property
@@ -66,7 +66,7 @@ class Ending:
         return sum(ledger.get(count, 0) for count in ("lost", "unseen", "dropped"))
 
     def accuse(self, text: str) -> None:
-        """Report a violation, but only as a note if a gap or a divergence may explain it."""
+        """Report a violation, or a note if a gap or a divergence may explain the difference."""
         if self.has_gaps or self.report.divergence is not None:
             self.report.notes.append(text)
         else:
@@ -83,7 +83,7 @@ class Ending:
 
     @property
     def unknown_losses(self) -> str:
-        """The reason for which the losses of a recording without a ledger are not known."""
+        """The reason for the unknown losses of a recording without a ledger."""
         return IN_SOURCE if self.is_clip else "it was not closed, so its losses are not known"
 
 
@@ -94,8 +94,8 @@ EndingOf = Callable[[str | None], Ending]
 class JournalEnd(NamedTuple):
     """The time at which the journal ends: `t_ns` is steady, `log_ns` since the epoch.
 
-    `stalled_ns` is how long the control loop stalled shortly before the end. `clock_changed` says
-    whether the wall clock ever changed against the steady clock.
+    `stalled_ns` is the stalled time of the control loop shortly before. `clock_changed` is True if
+    the wall clock ever changed against the steady clock.
     """
 
     t_ns: int
@@ -111,11 +111,7 @@ NOT_COMPARED: Final = (
 
 
 class JournalOrigin:
-    """Finds out whether the recorder wrote the journal itself or received it from a robot.
-
-    In its own journal, a recorder writes equal log and publish times. If they differ in the first
-    entry, the topic must be of the recorder's robot, and the recorder must have driven that robot.
-    """
+    """Finds out whether the recorder wrote the journal itself or received it from a robot."""
 
     def __init__(self, info: RecordingInfo, topic: str) -> None:
         """`topic` is the topic of the journal."""
@@ -124,21 +120,22 @@ class JournalOrigin:
         self._has_own_name = topic == own_journal_topic(info)
         self._observes = self._noted.get("mode") == OBSERVING
         self._was_received: bool | None = None
-        """Whether the log and publish times of the first entry differ, None before it is read."""
+        """Whether the log and publish times of the first entry differ, None before that entry."""
 
     @property
     def is_own(self) -> bool:
-        """Whether the recorder wrote the journal itself, and did not receive it."""
+        """Whether the recorder wrote the journal itself."""
         if not self._was_received:
             return True
         return bool(self._noted) and self._has_own_name and not self._observes
 
     def first(self, message: Message) -> None:
-        """Note whether log and publish times of the journal's first message differ."""
+        """Read the journal's first message."""
+        # In its own journal, a recorder writes equal log and publish times.
         self._was_received = not self._noted or message.log_ns != message.publish_ns
 
     def check(self, report: Report) -> None:
-        """Report what cannot be compared if the journal was received from another process."""
+        """Report the limits of the check, if the journal was received from another process."""
         if self.is_own:
             return
         report.notes.append(NOT_COMPARED)
@@ -184,7 +181,7 @@ HASHES: Final[Mapping[str, str]] = {
         "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e"
     ),
 }
-"""The hash of each type whose messages a check reads, without `RIHS01_`."""
+"""The hash of each type that a check reads, without `RIHS01_`."""
 
 _HASH_KEY: Final = "topic_type_hash"
 
@@ -231,21 +228,21 @@ class RecordingEnds:
         self._first_seq = self._last_seq = -1
         self._last_snapshot = -1
         self._has_ended = False
-        """Whether the last snapshot was written while the daemon was ending."""
+        """Whether the daemon was ending at the last snapshot."""
 
         self._has_gaps = False
         self._ledger: Mapping[str, Mapping[str, int]] | None = None
         last = natural_order(recording.open_files[-1].path)
         self._goes_on = any(natural_order(Path(name)) > last for name in recording.lost_files)
-        """Whether the recording continues after the last file that could be read."""
+        """Whether the recording continues after the last readable file."""
 
     @property
     def is_whole(self) -> bool:
-        """Whether the recording is a folder, and its last file is there."""
+        """Whether the recording is a folder with its last file."""
         return self._recording.path.is_dir() and not self._goes_on
 
     def entry(self, seq: int) -> None:
-        """Note the `seq` of the next journal entry."""
+        """Read the number of the next journal entry."""
         if self._first_seq < 0:
             self._first_seq = seq
         self._last_seq = max(seq, self._last_seq)
@@ -265,7 +262,7 @@ class RecordingEnds:
             report.miss(sentence, is_outside=True)
 
     def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
-        """Note a snapshot; return the `seq` of the previous one, 0 if absent or without proof."""
+        """Read a snapshot; return the `seq` of the previous one, 0 if absent or without proof."""
         before = max(self._last_snapshot, 0)
         self._last_snapshot = entry.seq if snapshot.proof is not None else -1
         reported = snapshot.state.health.reported
@@ -275,8 +272,7 @@ class RecordingEnds:
     def check(self, events_before_snapshot: int) -> None:
         """Check the writer, the begin and the end of the journal, and the loss ledger.
 
-        The ledger is in the last file if the recording was closed. Gaps that are reported after
-        this call do not excuse differences.
+        Gaps that are reported after this call do not excuse differences.
         """
         ledger = read_ledger(self._recording.metadata_of_file(-1))
         self.origin.check(self._report)
@@ -295,7 +291,7 @@ class RecordingEnds:
             report.miss("its journal does not begin with a snapshot")
 
     def _check_end(self, ledger: Mapping[str, Mapping[str, int]]) -> None:
-        """Report if the last file is not the one with which the recording was closed."""
+        """Report if the recording was not closed with its last file."""
         recording = self._recording
         if recording.is_cut_off or recording.is_live or self._goes_on:
             return
@@ -352,7 +348,7 @@ class JournalChain:
         self._crc: int | None = None
 
     def add(self, seq: int, serialized: bytes) -> None:
-        """Continue the CRC with the next entry, whose number is `seq`."""
+        """Continue the CRC with the entry number `seq`."""
         self._before = self._crc if seq == self._seq + 1 else None
         self._crc = None if self._before is None else chained(serialized, self._before)
         self._seq = seq
@@ -360,7 +356,7 @@ class JournalChain:
     def is_whole(self, entry: JournalEntry, proof: Proof | None) -> bool:
         """Return whether the CRC over the entries before a snapshot equals the CRC in `proof`.
 
-        Return True as well if this is not known: without a proof, at the beginning, after a gap.
+        Without a proof, at the beginning and after a gap, return True.
         """
         if proof is None or entry.seq != self._seq:
             return True

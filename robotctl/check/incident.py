@@ -22,7 +22,7 @@ from robotctl.recording.read.file_index import note_missing
 from robotctl.recording.read.journal_reader import EntryDecoder, journal_topic
 
 MAX_MESSAGES_AFTER = 2000
-"""How many messages after the stop are searched for the first zero command."""
+"""The maximum number of messages to search for the first zero command after a stop."""
 
 
 class IncidentKind(StrEnum):
@@ -42,11 +42,10 @@ class IncidentKind(StrEnum):
 
 @dataclass(slots=True)
 class Incident:
-    """A step of the kernel that stopped the robot or refused a request.
+    """A step of the kernel that stopped the robot or refused a request; for KILL, the last step.
 
-    For the kind KILL, it is the last step. Times are steady [ns], but `log_ns` (time of recording)
-    and `zero_ns` (first zero command after it) are since the epoch. None means not recorded.
-    `before` and `after` are the states of the kernel before and after the step.
+    Times are steady [ns], but `log_ns` (time of recording) and `zero_ns` (first zero command after
+    it) are since the epoch. None means not recorded.
     """
 
     kind: IncidentKind
@@ -63,14 +62,14 @@ class Incident:
     before: State | None = None
     after: State | None = None
     ramp: tuple[int, Event] | None = None
-    """Time and event at which the ramp to this stop began, None if there was no ramp."""
+    """Begin and event of the ramp to this stop, or None."""
 
     next_change: tuple[int, ModeChanged] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """The result of a search: the incident or None, and in `missing` what could not be read."""
+    """The result of a search: the incident or None, and a sentence for each unreadable part."""
 
     incident: Incident | None
     missing: list[str]
@@ -81,7 +80,7 @@ def find_incident(
     at_ns: int | None = None,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Searched:
-    """Find the last incident of a recording, or the one nearest to `at_ns` since the epoch.
+    """Return the last incident of a recording, or the one nearest to `at_ns` since the epoch.
 
     Raises:
         UnreadableFile: The recording has no journal.
@@ -115,7 +114,7 @@ class _Search:
         self.missing = list(recording.missing)
 
     def run(self, on_progress: Callable[[int, int], None]) -> Incident | None:
-        """Read the journal once and return the incident, None if there is none."""
+        """Return the incident, or None."""
         for item in steps(self._entries(on_progress)):
             try:
                 if isinstance(item, Gap):
@@ -162,7 +161,7 @@ class _Search:
             self._mode = state.mode
 
     def _consider(self, step: Step, kind: IncidentKind) -> None:
-        """Keep the step if it is later, or nearer to the wanted time, than the one kept so far."""
+        """Keep the step if it is later, or nearer to the wanted time, than the kept one."""
         apart_ns = 0 if self._at_ns is None else abs(self._log_ns - self._at_ns)
         if self._best is not None and apart_ns > self._best_apart_ns:
             return
@@ -179,12 +178,12 @@ class _Search:
         )
 
     def miss(self, sentence: str) -> None:
-        """Note what could not be read."""
+        """Add a sentence about an unreadable part."""
         note_missing(self.missing, sentence)
 
 
 def _telling(step: Step) -> list[Effect]:
-    """Return the mode changes and replies of a step, which decide whether it is an incident."""
+    """Return the mode changes and replies of a step."""
     names = (ModeChanged.__name__, Reply.__name__)
     return [read_effect(entry) for entry in step.effects if entry.name in names]
 
@@ -203,10 +202,7 @@ def _kind(step: Step, effects: list[Effect]) -> IncidentKind | None:
 
 
 def _fill(recording: Recording, topic: str, incident: Incident) -> None:
-    """Fill in the states, the parameters, the ramp and the first zero, as far as recorded.
-
-    This second pass re-runs the kernel from the last snapshot.
-    """
+    """Fill in the states, the parameters and the ramp by a second pass over the journal."""
     kernel: Kernel | None = None
     for item in steps(_around(recording, topic, incident)):
         try:

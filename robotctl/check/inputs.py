@@ -1,8 +1,8 @@
-"""Compare the inputs in the journal with the recorded messages that they came from.
+"""Compare the inputs in the journal with their recorded messages.
 
-The control loop receives messages with best effort: some may be lost, but not all during half a
-second. Of a safety input, each changed value becomes an input of the kernel, an unchanged value
-only from time to time. A wanted velocity becomes an input only in the mode MOVING.
+The control loop may lose messages (best effort), but not all during half a second. A changed value
+of a safety input is an input at once, an unchanged value from time to time. A wanted velocity is an
+input only in the mode MOVING.
 """
 
 from __future__ import annotations
@@ -55,20 +55,20 @@ from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.read.messages import Message
 
 UNHEARD_NS = NS_PER_S // 2
-"""How long messages may fail to become inputs; a stall of the control loop adds its time."""
+"""The longest time in which messages are no inputs, in addition to stalls."""
 
 GAP_NS = NS_PER_S // 10
-"""Of the time between two messages, at most this counts towards UNHEARD_NS: the rest is a pause."""
+"""The most of the time between two messages that counts towards UNHEARD_NS."""
 
 BEGIN_NS = 3 * NS_PER_S
-"""How long messages may fail to become inputs at first: the control loop may not be connected."""
+"""The longest time in which messages are no inputs at the begin."""
 
 MAX_WAITING = 100_000
-"""The number of messages, and of inputs, that may wait to be compared; the oldest are dropped."""
+"""The maximum number of messages, and of inputs, that wait; the oldest are dropped."""
 
 
 class ShownValue(NamedTuple):
-    """The number of a message, its value as text and its log time. As text, NaN equals NaN."""
+    """The number of a message, its value as text and its log time."""
 
     sequence: int
     value: str
@@ -76,40 +76,40 @@ class ShownValue(NamedTuple):
 
 
 class UnheardChange:
-    """Finds messages of one publisher that should be inputs in the journal, but are not there."""
+    """Finds messages of one publisher that should be inputs in the journal, but are not."""
 
     def __init__(self, repeat_ns: int) -> None:
-        """`repeat_ns`: after this time [ns] an unchanged value becomes an input again."""
+        """`repeat_ns` is the time [ns] after which an unchanged value is an input again."""
         self.example = ""
-        """The first messages that should have become inputs and did not, "" if there are none."""
+        """The first messages that should have been inputs, or ""."""
 
         self._repeat_ns = repeat_ns
         self._waiting: deque[ShownValue] = deque(maxlen=MAX_WAITING)
         self._heard: set[int] = set()
         self._last: ShownValue | None = None
-        """The last message that became an input; before there is one, the first of all messages."""
+        """The last message that was an input, or else the first of all messages."""
 
         self._is_begin = True
         self._since: ShownValue | None = None
         self._before_ns = self._unheard_ns = 0
 
     def message(self, shown: ShownValue) -> None:
-        """Store a message; its input may appear in the journal later."""
+        """Store a message."""
         self._waiting.append(shown)
 
     def heard(self, sequence: int) -> None:
-        """Note that message number `sequence` became an input in the journal."""
+        """Add the number of a message that is an input in the journal."""
         self._heard.add(sequence)
 
     def forget(self) -> None:
-        """Start over, because journal entries are missing."""
+        """Start over, after a gap in the journal."""
         self._waiting.clear()
         self._heard.clear()
         self._last = self._since = None
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Check the messages up to the newest input; allow `stall_ns` more than UNHEARD_NS."""
+        """Check the messages up to the newest input; `stall_ns` extends UNHEARD_NS."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
@@ -142,26 +142,22 @@ class UnheardChange:
 
 
 EDGE_NS: Final = NS_PER_S // 2
-"""Inputs this close to the end of a journal may lack a message that was still under way.
-
-The messages of the first inputs of a file may be in the file before, because the recorder
-receives a message earlier than the control loop does.
-"""
+"""Inputs this close to the end of a journal may lack their message."""
 
 UNFOUND_NS: Final = 2 * NS_PER_S
-"""How long the recorder may take to discover a publisher."""
+"""The longest time until the recorder discovers a publisher."""
 
 AFTER_NS: Final = 2 * NS_PER_S
-"""How long after the last journal entry a message may be recorded."""
+"""The longest time from the last journal entry to a recorded message."""
 
 FEW: Final = 10
-"""This many messages may be under way at the end, in addition to those that BURST allows."""
+"""The maximum number of messages under way at the end, in addition to BURST."""
 
 BURST: Final = 10.0
-"""The messages under way may be this multiple of the number expected at the mean rate."""
+"""The maximum number of messages under way, as a multiple of the mean rate's."""
 
 LOST: Final = 2
-"""Messages lost after the last input may exceed the number lost before it by this much."""
+"""The allowed excess of messages lost after the last input over those lost before."""
 
 
 class Input(NamedTuple):
@@ -174,7 +170,7 @@ class Input(NamedTuple):
 
 
 class Heard(NamedTuple):
-    """A message: its value, and when it was recorded [ns since the epoch]."""
+    """A message: its value, and its log time [ns since the epoch]."""
 
     value: Any
     log_ns: int
@@ -185,7 +181,7 @@ class InputPairs:
 
     def __init__(self) -> None:
         self.tolerance = 0.0
-        """Tolerance for the angle of odometry [rad], which a C library may have rounded."""
+        """Tolerance for the angle of odometry [rad]."""
 
         self.paired = 0
         self.lacking = 0
@@ -193,45 +189,45 @@ class InputPairs:
 
         self.lacking_example = ""
         self.before_first = 0
-        """Inputs without a message, before the first of their publisher that has one."""
+        """Inputs without a message, before the first of their publisher with one."""
 
         self.before_found = 0
-        """How many of `before_first` were sent before the recorder can have found the publisher."""
+        """The part of `before_first` within UNFOUND_NS of the publisher's first input."""
 
         self.at_begin = 0
-        """Inputs without a message within EDGE_NS of the first input, before any that has one."""
+        """Inputs without a message within EDGE_NS of the first input, before any with one."""
 
         self.differing = 0
         """Inputs whose message has another value."""
 
         self.differing_example = ""
         self.unheard = 0
-        """Messages that never became an input, although earlier and later ones did."""
+        """Messages without an input, between messages with one."""
 
         self.repeated = 0
         """Messages whose number is not above the previous one, except those of other publishers."""
 
         self.later_ns: list[int] = []
-        """The log times of the messages with higher numbers than all that were paired."""
+        """The log times of the messages with higher numbers than all paired ones."""
 
         self._waiting: Waiting[Input, Heard] = Waiting(self._judge)
         self._found: dict[Hashable, int] = {}
-        """The number that was paired last, for each publisher."""
+        """The number of the last pair, by publisher."""
 
         self._begun: dict[Hashable, int] = {}
-        """Steady time [ns] of the first input that was paired, for each publisher."""
+        """Steady time [ns] of the first paired input, by publisher."""
 
         self._lives: dict[Hashable, tuple[int, int]] = {}
         """Steady times [ns] of the first and the last input of each publisher."""
 
         self._unfound: list[tuple[int, Input]] = []
-        """Inputs without a message, of publishers of which no message was paired yet."""
+        """Inputs without a message, of publishers without a pair."""
 
         self._unheard: list[tuple[int, int]] = []
         """Number and log time of each message without an input."""
 
         self._paired: tuple[int, int] | None = None
-        """The lowest and the highest number that was paired."""
+        """The lowest and the highest paired number."""
 
         self._first_ns = self._last_ns = self._newest = self._sent_ns = 0
         self._has_others = False
@@ -239,7 +235,7 @@ class InputPairs:
 
     @property
     def has_one_publisher(self) -> bool:
-        """Whether one publisher sent all inputs and messages, so that their numbers are unique."""
+        """Whether one publisher sent all inputs and messages."""
         return len(self._lives) <= 1 and not self._has_others
 
     @property
@@ -251,7 +247,7 @@ class InputPairs:
         return (last - first) * NS_PER_S / (self._last_ns - self._first_ns)
 
     def message(self, message: Message, value: Any) -> None:
-        """Store a message of the topic, and pair it with a journal entry of the same number."""
+        """Read a message of the topic."""
         number = message.sequence
         if number <= self._newest and message.publish_ns > self._sent_ns:
             self._has_others = True
@@ -263,7 +259,7 @@ class InputPairs:
         self._pair(number, slot)
 
     def received(self, number: int, found: Input) -> None:
-        """Read an input of the journal, whose message has this `number`; 0 means no message."""
+        """Read an input of the journal; `number` is that of its message, or 0 for no message."""
         if number:
             begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
             self._lives[found.source] = begin_ns, found.t_ns
@@ -272,7 +268,7 @@ class InputPairs:
             self._pair(number, slot)
 
     def forget(self) -> None:
-        """Drop inputs and messages without a counterpart, because journal entries are missing."""
+        """Drop inputs and messages without a counterpart, after a gap in the journal."""
         self._waiting.clear()
 
     def end(self, t_ns: int, stalled_ns: int) -> None:
@@ -321,7 +317,7 @@ class InputPairs:
             self._last_ns = found.t_ns
 
     def _judge(self, number: int, slot: Slot[Input, Heard]) -> None:
-        """Count inputs and messages of one number that have no counterpart of the same value."""
+        """Count inputs and messages of one number without a counterpart of the same value."""
         for found in slot.entries:
             if slot.sent and self.has_one_publisher:  # it was received, with another value
                 self.differing += 1
@@ -373,8 +369,8 @@ class InputCheck:
     ) -> None:
         """`read(data)` returns the value of a message.
 
-        Unless `is_always_heard`, some messages never become inputs. With a `repeat_ns` [ns], a
-        changed value becomes an input at once, and an unchanged value after this time.
+        Unless `is_always_heard`, some messages are never inputs. With a `repeat_ns` [ns], a changed
+        value is an input at once, and an unchanged value after this time.
         """
         self.topic = topic.name
         self._name = name
@@ -390,7 +386,7 @@ class InputCheck:
         self._is_on = False
 
     def message(self, message: Message) -> None:
-        """Compare a message, unless it is a latched message that a new file only repeats."""
+        """Compare a message, unless it repeats a latched message."""
         if not self._is_on or (self._is_latched and self._repeats.observe(message)):
             return
         value = self._read(message.data)
@@ -399,7 +395,7 @@ class InputCheck:
             self._unheard.message(ShownValue(message.sequence, str(value), message.log_ns))
 
     def received(self, event: _Input, value: Any, seq: int) -> None:
-        """Read an input of the journal, whose entry has the number `seq`."""
+        """Read an input of the journal, from the entry number `seq`."""
         if self._is_on:
             number = event.sequence & MAX_SEQUENCE
             self._pairs.received(number, Input(event.t_ns, _source(event), value, seq))
@@ -407,7 +403,7 @@ class InputCheck:
                 self._unheard.heard(number)
 
     def snapshot(self, has_proof: bool, stall_ns: int) -> None:
-        """Start the comparison if `has_proof`; `stall_ns` is the longest stall so far."""
+        """Begin the comparison if `has_proof`; `stall_ns` is the longest stall so far."""
         self._is_on = self._is_on or has_proof
         self._pairs.tolerance = 0.0 if self._report.bitwise else TOLERANCE
         self._repeats.snapshot()
@@ -415,7 +411,7 @@ class InputCheck:
             self._unheard.settle(stall_ns)
 
     def stop(self) -> None:
-        """Stop comparing until the next snapshot, because journal entries are missing."""
+        """Stop comparing until the next snapshot."""
         self._is_on = False
         self._pairs.forget()
         if self._unheard is not None:
@@ -477,7 +473,7 @@ class InputCheck:
             ending.lack(count, text)
 
     def _lost_at_end(self, ending: Ending, moment: JournalEnd, waited_ns: int, most: float) -> int:
-        """Return how many messages after the last input were lost, and not still under way.
+        """Return the number of messages after the last input that were lost.
 
         Messages of the last EDGE_NS + `waited_ns` may be under way. Return 0 if nothing is known,
         or after a report: of more than `most` lost messages, or too many under way for the rate.
@@ -505,12 +501,12 @@ _Input = (
 
 
 def _source(event: _Input) -> Hashable:
-    """Return the publisher of the message that an event came from."""
+    """Return the publisher of an event's message."""
     return event.source if isinstance(event, OdomReceived) else event.publisher
 
 
 def _value(event: _Input) -> Any:
-    """Return the value of an input; None for diagnostics, of which only the worst level is kept."""
+    """Return the value of an input, None for diagnostics."""
     match event:
         case OdomReceived():
             return sample_of(event.odometry)
@@ -534,10 +530,10 @@ NAMES: Final = {
 
 
 class InputChecks:
-    """Compares the journal's inputs with the recorded messages, for each input that is in use."""
+    """Compares the journal's inputs with the recorded messages, for each input in use."""
 
     def __init__(self, report: Report, topics: RobotTopics, stalls: RecordedStalls) -> None:
-        """`stalls` collects the stalls of the control loop that the journal has."""
+        """`stalls` has the stalls of the control loop in the journal."""
         self._report, self._topics, self._stalls = report, topics, stalls
         odometry = topics.recorded("odometry.topic", "odom", cdr.ODOMETRY)
         battery = topics.recorded("battery.topic", "battery_state", "sensor_msgs/msg/BatteryState")
@@ -585,7 +581,7 @@ class InputChecks:
         )
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler of each recorded topic, by name; inputs may share a topic."""
+        """Return the message handler of each recorded topic, by name."""
         topics = {each.topic for each in self._checks.values() if each.topic is not None}
         return {topic: partial(self._message, topic) for topic in topics}
 
@@ -604,23 +600,23 @@ class InputChecks:
             check.received(event, _value(event), seq)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Start the comparison at a snapshot that has a `Proof` (version 0.1.0 wrote none)."""
+        """Begin the comparison at a snapshot with a `Proof`."""
         for each in self._checks.values():
             each.snapshot(snapshot.proof is not None, self._stalls.longest_ns)
 
     def stop(self) -> None:
-        """Stop comparing until the next snapshot, because journal entries are missing."""
+        """Stop comparing until the next snapshot."""
         for each in self._checks.values():
             each.stop()
 
     def end(self, ending: EndingOf, moment: JournalEnd) -> None:
-        """Report differences; `ending(topic)` and `moment` say how and when the journal ends."""
+        """Report the differences; call this at the end of the journal."""
         for each in self._checks.values():
             each.end(ending(each.topic), moment, self._stalls.longest_ns)
 
 
 class _DiagnosticsCheck(InputCheck):
-    """Compares diagnostics by message number alone; robotctl publishes on their topic as well."""
+    """Compares diagnostics by message number alone."""
 
     def end(self, ending: Ending, moment: JournalEnd, stall_ns: int) -> None:
         if not ending.is_clip:  # its messages begin later than its journal

@@ -1,7 +1,6 @@
 """The invariants that must hold in every journal, and the violations that a check collects.
 
-The checks compare values in the order of the journal, never wall-clock times: setting the clock
-during a recording changes nothing.
+The checks never compare wall-clock times.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from robotctl.kernel.types import (
 )
 
 MAX_VIOLATIONS = 20
-"""The number of violations that are kept; all are counted."""
+"""The number of kept violations; all are counted."""
 
 ROUNDING = 1e-9
 """The tolerance for the change between two commands."""
@@ -76,7 +75,7 @@ class Invariants:
         self._at = (0, 0)
 
     def stop(self) -> None:
-        """Stop the checks until the next snapshot, because journal entries are missing."""
+        """Stop the checks until the next snapshot."""
         self.mode = None
 
     def snapshot(self, snapshot: Snapshot) -> None:
@@ -203,8 +202,8 @@ class Invariants:
 def unbalanced(ledger: Mapping[str, Mapping[str, int]], *, finished: bool) -> Iterator[str]:
     """Yield a sentence for each topic of a loss ledger whose counts do not add up.
 
-    If the recording is `finished`, received must equal written + dropped. Otherwise received may be
-    larger, because messages can be queued for the next file.
+    If the recording is `finished`, received must equal written + dropped; otherwise it may be
+    larger.
     """
     for topic, counts in ledger.items():
         received, written, dropped = (counts.get(n, 0) for n in ("received", "written", "dropped"))

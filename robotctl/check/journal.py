@@ -1,7 +1,4 @@
-"""Read the journal: put its entries in order, group them into steps, decode them.
-
-Decoding is ten times as fast as with `kernel.codec`, which is used where the fast decoder fails.
-"""
+"""Read the journal: put its entries in order, group them into steps, decode them."""
 
 from __future__ import annotations
 
@@ -28,6 +25,7 @@ _EVENTS: Mapping[str, Any] = MappingProxyType({kind.__name__: kind for kind in g
 _EFFECTS: Mapping[str, Any] = MappingProxyType({kind.__name__: kind for kind in get_args(Effect)})
 _SNAPSHOT: Mapping[str, Any] = MappingProxyType({Snapshot.__name__: Snapshot})
 
+# Ten times as fast as `kernel.codec`, which is used where they fail.
 _DECODERS: Mapping[Any, msgspec.json.Decoder[Any]] = MappingProxyType(
     {
         kind: msgspec.json.Decoder(kind)
@@ -37,16 +35,14 @@ _DECODERS: Mapping[Any, msgspec.json.Decoder[Any]] = MappingProxyType(
 )
 
 _NOT_QUICK = (msgspec.DecodeError, RecursionError)
-"""What a fast decoder raises, also for nan and inf, which are strings in the journal."""
+"""The errors of a fast decoder, also for nan and inf."""
 
+# Without MemoryError and OSError, which do not come from the kernel or its state.
 KERNEL_FAILURES = (
     *(AssertionError, ArithmeticError, AttributeError, LookupError),
     *(NameError, RuntimeError, TypeError, ValueError),
 )
-"""What a kernel raises if it has a bug, or if its state was changed in the file.
-
-`MemoryError` and `OSError` are left out: they do not come from the kernel or its state.
-"""
+"""The errors of a kernel with a bug, or with a state that was changed in the file."""
 
 
 def read_event(entry: JournalEntry) -> Event:
@@ -83,7 +79,7 @@ def read_snapshot(entry: JournalEntry) -> Snapshot:
 
 @lru_cache(maxsize=4)
 def _wrong_in(params: KernelParams) -> str:
-    """Return why parameters are not allowed, or ""; cached, since most snapshots have the same."""
+    """Return the reason why parameters are not allowed, or ""."""
     try:
         check_all(Config(kernel=params))
     except ConfigError as error:
@@ -92,7 +88,7 @@ def _wrong_in(params: KernelParams) -> str:
 
 
 def decide(kernel: Kernel, event: Event) -> tuple[Effect, ...]:
-    """Return the effects of `event`. The kernel's state comes from a file and may be invalid.
+    """Return the effects of `event` on a kernel whose state is from a file.
 
     Raises:
         UnreadableFile: The kernel cannot continue from its state.
@@ -126,11 +122,9 @@ def _read(kinds: Mapping[str, Any], noun: str, entry: JournalEntry) -> Any:
         raise UnreadableFile(f"journal entry {entry.seq} cannot be read: {why}") from None
 
 
+# A file that another program sorted by time is out of order if the clock was set.
 MAX_DISORDER = 4096
-"""How many entries are held back to put them in the order of their `seq`.
-
-Our files are in order. A file that another program sorted by time is not, if the clock was set.
-"""
+"""The maximum number of entries held back for a missing lower number."""
 
 
 @final
@@ -189,12 +183,12 @@ Moments = tuple[int, int, int]
 
 @dataclass(slots=True)
 class Step:
-    """One event and the effects that were recorded after it."""
+    """One event and its recorded effects."""
 
     event: JournalEntry
     effects: list[JournalEntry] = field(default_factory=list)
     cut: bool = False
-    """Whether the journal ends or has a gap after the step, so that effects may be missing."""
+    """Whether the journal ends or has a gap after the step: effects may be missing."""
 
 
 Item = Step | JournalEntry | Gap

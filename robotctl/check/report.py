@@ -24,13 +24,13 @@ TOLERANCE: Final = 1e-9
 """The tolerance, absolute and relative, for floats that a C library rounded."""
 
 DIGITS: Final = 9
-"""Significant digits of a float that are compared between the results of two machines."""
+"""The compared significant digits of a float between the results of two machines."""
 
 _FLOAT: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
 
 
 def rounded(text: str) -> str:
-    """Return `text`, with each float in it rounded to DIGITS significant digits."""
+    """Return `text` with each float rounded to DIGITS significant digits."""
     return _FLOAT.sub(lambda number: f"{float(number[0]):.{DIGITS}g}", text)
 
 
@@ -38,9 +38,9 @@ def rounded(text: str) -> str:
 class Divergence:
     """The first place where a new kernel decided differently.
 
-    `seq` and `t_ns` (steady) are those of the recorded entry. `event` is what both kernels decided
-    on; `recorded` and `decided` are the differing effects, "" if missing. All three have the form
-    `Name {json}`. `before` is the new kernel's state before the event.
+    `seq` and `t_ns` (steady) are those of the recorded entry. `event` is the input; `recorded` and
+    `decided` are the differing effects, "" if missing. All three have the form `Name {json}`.
+    `before` is the new kernel's state before the event.
     """
 
     seq: int
@@ -63,16 +63,13 @@ class Verdict(StrEnum):
     """The result of a check, the most severe first."""
 
     DIVERGED = "diverged"
-    """A new kernel of the version that made the recording decides differently."""
+    """A new kernel of the recording's version decides differently."""
 
     BROKEN = "broken"
     """An invariant, the journal's CRC, the loss ledger or a message contradicts the decisions."""
 
     INCOMPLETE = "incomplete"
-    """Not everything could be checked, or another version decided by other rules.
-
-    Nothing wrong was proved; what is missing may excuse the differences in the notes.
-    """
+    """Not everything could be checked, or another version decided by other rules."""
 
     SAME = "same"
 
@@ -89,7 +86,7 @@ class Report:
     """The result of checking one recording.
 
     The first journal entry was made at `begin_ns` (steady) and recorded at `begin_log_ns` (since
-    the epoch). `events`, `effects` and `commands` count what was read.
+    the epoch).
     """
 
     path: Path
@@ -98,7 +95,7 @@ class Report:
     """The version of robotctl that made the recording, "" if unknown."""
 
     made_by: str = ""
-    """What computed the floats of the recording, "" if unknown."""
+    """The arithmetic of the recording's floats, "" if unknown."""
 
     bitwise: bool = True
     events: int = 0
@@ -109,10 +106,10 @@ class Report:
     begin_ns: int = 0
     begin_log_ns: int = 0
     divergence: Divergence | None = None
-    """The first difference, even in a recording of another version; None if there is none."""
+    """The first difference, even in a recording of another version, or None."""
 
     divergences: int = 0
-    """The number of divergences that were found: at most one between two snapshots."""
+    """The number of divergences: at most one between two snapshots."""
 
     divergences_crc: int = 0
     """The CRC of the sentences of all divergences, with rounded numbers."""
@@ -120,14 +117,14 @@ class Report:
     violations: list[Violation] = field(default_factory=list)
     violation_count: int = 0
     missing: list[str] = field(default_factory=list)
-    """What could not be checked, in sentences; `notes` says how the rest was compared."""
+    """A sentence for each limit of the check; `notes` has how the rest was compared."""
 
     notes: list[str] = field(default_factory=list)
     seal: str = ""
-    """Who signed the recording, and whether the seal is unbroken; "" if it is not signed."""
+    """The signer of the recording and the state of the seal; "" without a seal."""
 
     has_other_format: bool = False
-    """Whether the journal has other fields than those of the version that the recording names."""
+    """Whether the journal has other fields than the version that the recording names."""
 
     has_gaps: bool = field(default=False, init=False)
     """Whether a missing part of the recording may explain a difference."""
@@ -136,7 +133,7 @@ class Report:
 
     @property
     def same_version(self) -> bool:
-        """Whether this version made the recording: only then is a difference an error."""
+        """Whether this version made the recording; in another one, a difference is no error."""
         return self.version == __version__ and not self.has_other_format
 
     @property
@@ -154,20 +151,20 @@ class Report:
         return Verdict.INCOMPLETE if self.missing else Verdict.SAME
 
     def count_divergence(self, found: Divergence) -> None:
-        """Count a divergence, whether it is the first or a later one."""
+        """Count a divergence."""
         self.divergences += 1
         self.divergences_crc = crc32(rounded(found.sentence()).encode(), self.divergences_crc)
 
     def miss(self, sentence: str, *, is_outside: bool = False) -> None:
         """Add a sentence about something that could not be checked.
 
-        Set `has_gaps`, unless `is_outside`: the missing part is not within what was checked.
+        Set `has_gaps`, unless the missing part `is_outside` of what was checked.
         """
         note_missing(self.missing, sentence)
         self.has_gaps |= not is_outside
 
     def miss_other_rules(self, difference: str) -> None:
-        """Report a difference that is no error, because another version made the recording."""
+        """Report a difference that is no error, in a recording of another version."""
         if self._other_rules:
             self.miss(difference)
             return

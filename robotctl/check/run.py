@@ -55,9 +55,7 @@ from robotctl.recording.read.whole_recording import VerifiedRecording, verify_re
 def file_groups(path: Path) -> list[list[Path]]:
     """Return the files of `path` grouped by recording; the group named like `path` comes first.
 
-    A file joins a group of the same robot if it has no journal, or if its first journal entry has a
-    higher `seq` than the first entries of the group's files. Unreadable files join the first group,
-    whose check reports why they cannot be read.
+    Unreadable files are in the first group.
 
     Raises:
         UnreadableFile: `path` is not a recording.
@@ -102,7 +100,7 @@ def _identity(file: Path) -> tuple[str, int | None]:
 
 
 Compared = InputChecks | StatusCheck | CommandCheck | ServiceChecks
-"""A comparison of messages with the journal; `Comparisons` calls the same methods of each."""
+"""A comparison of messages with the journal."""
 
 
 class Comparisons:
@@ -119,29 +117,29 @@ class Comparisons:
             InputChecks(report, topics, self._stalls),
             StatusCheck(report, topics, clock),
         )
-        """The comparisons that see each step."""
+        """The comparisons of each step."""
 
         self._of_decisions: tuple[Compared, ...] = (
             CommandCheck(report, topics, clock),
             ServiceChecks(report, topics, clock),
         )
-        """The comparisons that need no odometry without effects; most steps are such odometry."""
+        """The comparisons that need no odometry without effects."""
 
         self._all = self._of_decisions + self._of_all
 
     def readers(self) -> dict[str, Callable[[Message], None]]:
-        """Return the message handler of each topic that is compared."""
+        """Return the message handler of each compared topic."""
         return {topic: read for each in self._all for topic, read in each.readers().items()}
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Start or continue comparing at a snapshot; `t_ns` is steady, `log_ns` epoch time."""
+        """Begin or continue at a snapshot; `t_ns` is steady, `log_ns` since the epoch."""
         self._invariants.snapshot(snapshot)
         self._ticks.begin(snapshot.params.rate_hz)
         for each in self._all:
             each.snapshot(snapshot, t_ns, log_ns)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Compare a step; `seq` is the number of its event, `moments` when it was handled."""
+        """Compare a step; `seq` is the number of its event, `moments` are its times."""
         self._order.step(event, seq)
         self._stalls.step(event)
         for each in self._of_all:
@@ -154,7 +152,7 @@ class Comparisons:
         self._invariants.step(seq, event, effects)
 
     def stop(self) -> None:
-        """Stop comparing until the next snapshot, because journal entries are missing."""
+        """Stop comparing until the next snapshot."""
         self._invariants.stop()
         self._ticks.stop()
         self._order.stop()
@@ -177,7 +175,7 @@ class Comparisons:
 
 
 ALL_BYTES_BELOW: Final = 100_000_000
-"""A recording smaller than this [bytes] is always read completely, which takes about 1 s."""
+"""A recording smaller than this [bytes] is always read completely."""
 
 UNNUMBERED: Final = (
     "its messages have no sequence numbers, as in every bag of rosbag2: not compared with the "
@@ -190,8 +188,7 @@ _KEY_DIGITS = 16
 def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
     """Read every byte of a recording if it is below ALL_BYTES_BELOW or `all_bytes` is set.
 
-    Flaws are added to `report.missing`, because what was recorded there is unknown. The report also
-    gets a line about the seal, which does not change the verdict.
+    Flaws are added to `report.missing`; a broken seal does not change the verdict.
     """
     try:
         size = sum(file.stat().st_size for file in recording_files(path))
@@ -208,7 +205,7 @@ def check_bytes(path: Path, report: Report, *, all_bytes: bool) -> None:
 
 
 def _seal_line(found: VerifiedRecording) -> str:
-    """Return one line about what the seals prove, or "" if there is no seal."""
+    """Return one line about the seals, or "" if there is no seal."""
     states = [file.seal.state for file in found.files]
     if set(states) <= {SealState.NONE}:
         return ""
@@ -234,9 +231,9 @@ def check_recording(
 ) -> Report:
     """Check one recording, a file or a folder, and return the report.
 
-    A file that cannot be read is named in the report. Every byte is read if `all_bytes` is set, or
-    if a local recording is below ALL_BYTES_BELOW. `source`, if given, is one MCAP file, of which
-    only what the check needs is read; `path` is then only the name for the report.
+    An unreadable file is named in the report. Every byte is read if `all_bytes` is set, or if a
+    local recording is below ALL_BYTES_BELOW. `source`, if given, is one MCAP file; `path` is then
+    only the name for the report.
     """
     report = Report(path)
     began = time.perf_counter()
@@ -294,7 +291,7 @@ def _lost(path: Path) -> dict[str, Any]:
 
 
 class _Check:
-    """Re-runs and compares each item of one recording, in file order, and fills the report."""
+    """Re-runs and compares each item of one recording, and fills the report."""
 
     def __init__(self, recording: Recording, report: Report, on_progress: Progress) -> None:
         self._recording = recording
@@ -313,13 +310,13 @@ class _Check:
         """The CRC of all entries so far."""
 
         self._end_ns = 0
-        """The steady time of the last entry that was read."""
+        """The steady time of the last entry."""
 
         self._logged: dict[int, int] = {}
-        """Log times [ns] of events and snapshots that are not compared yet, by `seq`."""
+        """Log times [ns] of events and snapshots that wait for their comparison, by `seq`."""
 
         self._logged_ns = 0
-        """When the last entry was recorded, since the epoch [ns]."""
+        """The log time of the last entry [ns]."""
 
         report.robot = self._info.metadata.get(INFO_RECORD, {}).get("robot", "")
         report.version = _version(self._info)
@@ -357,9 +354,7 @@ class _Check:
             report.violation_count = invariants.count
 
     def _entries(self, topic: str) -> Iterator[JournalEntry]:
-        """Yield each entry of the journal on `topic`, in the order of the file.
-
-        Each message of another topic is compared as it is read.
+        """Yield the entries of the journal in the order of the file; compare other messages.
 
         Raises:
             UnreadableFile: The journal cannot be read.
@@ -431,7 +426,7 @@ class _Check:
         self._compared.step(entry.seq, event, effects, (event.t_ns, begin_ns, end_ns))
 
     def _decided(self, rerun: Rerun, step: Step) -> tuple[Event, tuple[Effect, ...]]:
-        """Re-run one step. Return its event and effects (the recorded ones if it was not re-run).
+        """Re-run one step, and return its event and effects, or the recorded effects.
 
         Raises:
             UnreadableFile: An entry cannot be read.
@@ -456,7 +451,7 @@ class _Check:
             report.miss_other_rules(divergence.sentence())
 
     def _interrupt_at(self, error: UnreadableFile) -> None:
-        """Report an entry that this version cannot read, and pause until the next snapshot."""
+        """Report an unreadable entry, and pause until the next snapshot."""
         report = self._report
         (report.miss if report.same_version else report.miss_other_rules)(str(error))
         self._stop()
@@ -486,7 +481,7 @@ class _Check:
 
 
 def _version(info: RecordingInfo) -> str:
-    """Return the version of robotctl that made the recording, "" if it is not recorded."""
+    """Return the version of robotctl that made the recording, "" if unknown."""
     known = info.metadata.get(INFO_RECORD, {}).get("robotctl", "")
     if known or not info.library.startswith(OWN_LIBRARY):
         return known

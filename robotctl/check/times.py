@@ -20,24 +20,21 @@ from robotctl.kernel.types import (
 MEASUREMENTS: Final = frozenset(
     {OdomReceived, BatteryReceived, ScanReceived, GuardedCommandReceived, SafetyInputReceived}
 )
-"""The events whose time `t_ns` is when their message was received."""
+"""The events whose time `t_ns` is that of their message's receipt."""
 
 SLACK_NS: Final = NS_PER_S // 1_000
-"""A measurement may be this much earlier than the newest one before it."""
+"""The tolerance for a measurement that is earlier than one before it."""
 
 
 class MeasurementOrder:
-    """Checks that the times of measurements increase, in the order in which they were received.
-
-    Ticks are not checked here, see `TickSchedule`.
-    """
+    """Checks that the times of measurements increase."""
 
     def __init__(self) -> None:
         self.swapped = 0
         """The number of measurements that are earlier than one before them."""
 
         self.first_seq = 0
-        """The `seq` of the first of these measurements."""
+        """The `seq` of the first swapped measurement, or 0."""
 
         self._newest_ns: int | None = None
 
@@ -51,16 +48,16 @@ class MeasurementOrder:
         self._newest_ns = max(event.t_ns, self._newest_ns or event.t_ns)
 
     def stop(self) -> None:
-        """Start over, because journal entries are missing."""
+        """Start over, after a gap in the journal."""
         self._newest_ns = None
 
 
 WINDOW_NS: Final = NS_PER_S
-"""In any period of this length, even a busy loop handles at least one tick on time."""
+"""A period in which even a busy loop handles at least one tick on time."""
 
 LATE_NS: Final = NS_PER_S // 200
 LATE_PERIODS: Final = 0.75
-"""Ticks are missing if lateness rises by more than LATE_NS and this many periods, and stays so."""
+"""Limits on a lasting rise of lateness; above both, ticks are missing."""
 
 
 class _Window(NamedTuple):
@@ -80,12 +77,7 @@ class MissingTicks(NamedTuple):
 
 
 class TickSchedule:
-    """Finds missing ticks by how late the recorded ticks are, from a snapshot on.
-
-    The control loop ticks at multiples of the period, each time a little late, and counts the ticks
-    that it missed. So the lateness often returns to its minimum. After a tick that was removed from
-    the journal, or missed and not counted, the lateness stays one period above the minimum.
-    """
+    """Finds missing ticks by the lateness of the recorded ticks, from a snapshot on."""
 
     def __init__(self) -> None:
         self.missing: list[MissingTicks] = []
@@ -95,11 +87,11 @@ class TickSchedule:
         self._windows: list[_Window] = []
 
     def begin(self, rate_hz: float) -> None:
-        """Note the rate of the ticks, which never changes in a recording."""
+        """Set the rate of the ticks, which never changes in a recording."""
         self._period_ns = round(NS_PER_S / rate_hz)
 
     def step(self, event: Event, seq: int) -> None:
-        """Note how late a tick is; `seq` is the number of its entry."""
+        """Read the lateness of a tick; `seq` is the number of its entry."""
         if not isinstance(event, Tick) or not self._period_ns:
             return
         self._due_ns += (event.missed + 1) * self._period_ns
@@ -113,15 +105,16 @@ class TickSchedule:
             self._least = least._replace(late_ns=late_ns)
 
     def stop(self) -> None:
-        """Add the first ticks found missing since the last call, if any, to `missing`; start over.
+        """Add the first missing ticks since the last call, if any, to `missing`; start over.
 
-        Call this before a gap in the journal, and at its end. The last window is not judged.
+        Call this before a gap in the journal, and at its end.
         """
         windows = self._windows if self._least is None else [*self._windows, self._least]
         before = accumulate(windows, min)
         after = [*accumulate(reversed(windows), min)][::-1]
         limit_ns = max(round(LATE_PERIODS * self._period_ns), LATE_NS)
         for earlier, window, later in zip(before, windows[1:-1], after[1:-1], strict=False):
+            # Lateness often returns to its minimum, unless a tick is missing and not counted.
             late_ns = later.late_ns - earlier.late_ns
             if late_ns > limit_ns:
                 ticks = max(round(late_ns / self._period_ns), 1)
@@ -131,10 +124,10 @@ class TickSchedule:
 
 
 CLOCK_NS = NS_PER_S // 4
-"""If the offset between the clocks changes by more than this, one was set or the loop stalled."""
+"""The smallest change of the offset between the clocks that counts."""
 
 EXCUSES_NS = 2 * NS_PER_S
-"""Wall-clock times are not compared within this time of a change by more than CLOCK_NS."""
+"""Wall-clock times are not compared within this time of a change."""
 
 
 class _Step(NamedTuple):
@@ -145,11 +138,7 @@ class _Step(NamedTuple):
 
 
 class ClockChanges:
-    """Finds changes of the wall clock against the steady clock of the journal.
-
-    An entry may be recorded later than its event was stamped, never earlier. So the clock was set
-    back where the wall clock goes back, and forward where the offset rises and stays high.
-    """
+    """Finds changes of the wall clock against the steady clock of the journal."""
 
     def __init__(self) -> None:
         self._offset_ns: int | None = None
@@ -161,12 +150,12 @@ class ClockChanges:
 
     @property
     def has_changed(self) -> bool:
-        """Whether there was a change at all, by a stall or because the clock was set."""
+        """Whether there was a change, by a stall or because the clock was set."""
         return bool(self._changed_ns)
 
     @property
     def note(self) -> str:
-        """A sentence about how often the clock was set, "" if it was not."""
+        """A sentence about the settings of the clock, or ""."""
         if not self._set:
             return ""
         often = "once" if len(self._set) == 1 else f"{len(self._set)} times"
@@ -176,7 +165,7 @@ class ClockChanges:
         )
 
     def look(self, steady_ns: int, wall_ns: int) -> None:
-        """Compare the steady and the wall clock at one moment; note a change of their offset."""
+        """Read the steady and the wall clock at one moment."""
         offset_ns, before_ns = wall_ns - steady_ns, self._offset_ns
         went_back, self._wall_ns = wall_ns < self._wall_ns, wall_ns
         self._offset_ns = offset_ns
@@ -185,6 +174,7 @@ class ClockChanges:
         by_ns = offset_ns - before_ns
         if abs(by_ns) > CLOCK_NS:
             self._changed_ns.append(steady_ns)
+            # An entry may be recorded later than its event was stamped, never earlier.
             if by_ns > 0 or went_back:
                 self._set.append(_Step(by_ns, before_ns))
                 return
@@ -201,7 +191,7 @@ class ClockChanges:
 
 
 RECENT_NS: Final = 2 * NS_PER_S
-"""A stall that ended at most this long before the journal did may have delayed its last inputs."""
+"""A stall at most this long before the journal's end may have delayed its last inputs."""
 
 
 class RecordedStalls:
@@ -210,10 +200,10 @@ class RecordedStalls:
     def __init__(self) -> None:
         self.longest_ns = 0
         self._ends: list[tuple[int, int]] = []
-        """The steady time at which each stall ended, and its duration [ns]."""
+        """The steady time of each stall's end, and its duration [ns]."""
 
     def step(self, event: Event) -> None:
-        """Note the duration of a stall; ignore other events."""
+        """Add the duration of a stall; ignore other events."""
         if isinstance(event, LoopStalled):
             stalled_ns = round(event.stalled_s * NS_PER_S)
             self.longest_ns = max(self.longest_ns, stalled_ns)

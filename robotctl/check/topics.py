@@ -1,7 +1,6 @@
 """The topics of the robot whose journal is checked, and messages paired with journal entries.
 
-A message and its journal entry reach a recording in either order. What explains a difference (a
-stall, another publisher) may be recorded seconds later. So both sides wait, by their number.
+A message and its journal entry reach a recording in either order.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from robotctl.recording.read.messages import Message
 from robotctl.recording.write.recorder_options import TopicFilter
 
 MAX_TEXT: Final = 100_000
-"""Maximum length of a list of patterns that is read."""
+"""Maximum length of a list of patterns."""
 
 
 class InputTopic(NamedTuple):
-    """The full name and type of an input's topic; if it is not recorded, `name` is None.
+    """The full name and type of an input's topic; `name` is None if the topic is not recorded.
 
-    `is_left_out` says that the recorder was configured to omit the topic.
+    `is_left_out` is True if the recorder was configured to omit the topic.
     """
 
     name: str | None = None
@@ -53,7 +52,7 @@ class RobotTopics:
         """The metadata of the recorder."""
 
         self.clip_begin_ns = number_in(info.metadata.get(CLIP_RECORD, {}), "start_ns", 0.0)
-        """Begin of a clip [ns since the epoch], else 0: only the journal may have earlier times."""
+        """Begin of a clip [ns since the epoch], else 0; only its journal may have earlier times."""
 
         self.types = {topic.name: topic.type_name for topic in info.topics}
         self.namespace = journal_topic.removesuffix(f"/{TOPIC}")
@@ -110,15 +109,13 @@ class RobotTopics:
 
 
 MAX_REPEATED: Final = 1_000
-"""How many messages of a latched topic may come between a message and its repeat."""
+"""The maximum number of messages between a latched message and its repeat."""
 
 
 class RepeatedLatched:
     """Counts the log times at which messages of a latched topic repeat earlier ones.
 
-    A recorder begins each file with a snapshot, and repeats the last message of each publisher at
-    one log time. So each snapshot allows one such time (joined files keep their snapshots). Each
-    file allows one in any case: a received journal has its snapshots elsewhere.
+    Each snapshot allows one such time, and so does each file.
     """
 
     def __init__(self, info: RecordingInfo) -> None:
@@ -154,12 +151,13 @@ class RepeatedLatched:
 
     @property
     def excess(self) -> int:
-        """The number of repeats above the allowed number, 0 if they do not exceed it."""
+        """The number of repeats above the allowed number, or 0."""
+        # Joined files keep their snapshots; a received journal has its snapshots elsewhere.
         return max(len(self._repeats) - max(self._files, self._snapshots), 0)
 
 
 MAX_WAITING: Final = 20_000
-"""How many slots `Waiting` keeps, several minutes of a topic; beyond that it judges the oldest."""
+"""The maximum number of slots in `Waiting`, several minutes of a topic."""
 
 Entry = TypeVar("Entry")
 Sent = TypeVar("Sent")
@@ -190,7 +188,7 @@ class Waiting(Generic[Entry, Sent]):
         return slot
 
     def drop(self, number: int) -> None:
-        """Remove the slot of `number`, because it no longer needs a judgement."""
+        """Remove the slot of `number` without a judgement."""
         self._slots.pop(number, None)
 
     def clear(self) -> None:
@@ -198,7 +196,7 @@ class Waiting(Generic[Entry, Sent]):
         self._slots.clear()
 
     def rest(self) -> Iterator[tuple[int, Slot[Entry, Sent]]]:
-        """Remove all slots and yield them: the journal has ended, or entries are missing."""
+        """Remove all slots and yield them."""
         while self._slots:
             yield self._oldest()
 

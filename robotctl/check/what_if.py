@@ -1,7 +1,6 @@
 """What-if: the decisions of a kernel with other parameters on the recorded events.
 
-The loop is open: the recorded robot does not react to the commands of the other kernel. Both
-kernels decide on the same recorded measurements, and their decisions are compared.
+The loop is open: the recorded robot does not react to the commands of the other kernel.
 """
 
 from __future__ import annotations
@@ -87,7 +86,7 @@ def changed(config: Config, settings: Settings) -> Config:
 def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
     """Return `config` with the recorded parameters of the simulated robot, and the rejected keys.
 
-    A recorded key is rejected if this version does not know it or does not allow its value.
+    A key is rejected if this version does not know it or does not allow its value.
     """
     unknown = []
     for name, value in info.metadata.get(INFO_RECORD, {}).items():
@@ -102,7 +101,7 @@ def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
 
 @dataclass(slots=True)
 class DriveCommands:
-    """The commands of one kernel in one drive; the drive's first step is at `begin_ns` (steady)."""
+    """The commands of one kernel in one drive, from `begin_ns` (steady) on."""
 
     begin_ns: int
     in_mode_ns: dict[Mode, int] = field(default_factory=dict)
@@ -146,8 +145,7 @@ def drives_of_both(
 ) -> list[dict[str, Any]]:
     """Return the drives of two kernels, side by side, as JSON values, in the order of their begin.
 
-    A drive is `None` on the side that did not begin it. `measured` is what the robot did under the
-    recorded commands; nobody knows how it would have followed the commands of the other kernel.
+    A drive is `None` on a side without it. `measured` is from the recorded commands alone.
     """
 
     def began_ns(request_id: int) -> int:
@@ -171,7 +169,7 @@ def drives_of_both(
 
 
 MAX_ANSWERS = 20
-"""How many pairs of different answers are listed; all are counted."""
+"""The maximum number of listed pairs of different answers; all are counted."""
 
 
 def what_if(
@@ -235,20 +233,20 @@ class _Difference:
 
 @dataclass(slots=True)
 class _Side:
-    """One of the two kernels: its time in each mode, its drives, its answers still to compare."""
+    """One of the two kernels: its time in each mode, its drives, its open answers."""
 
     kernel: Kernel | None = None
     in_mode_ns: dict[Mode, int] = field(default_factory=lambda: dict.fromkeys(Mode, 0))
     answers: dict[int, Reply] = field(default_factory=dict)
     drives: dict[int, DriveCommands] = field(default_factory=dict)
-    """The drives by the id of the request that began each."""
+    """The drives by the id of their request."""
 
     refusal: str = ""
-    """The text of the last answer that refused a request."""
+    """The text of the last refusal."""
 
     @property
     def no_drive(self) -> str:
-        """Why the robot never moved, "" if it did."""
+        """The reason why the robot never moved, or ""."""
         if self.in_mode_ns[Mode.MOVING]:
             return ""
         return f"refused: {self.refusal}" if self.refusal else "no motion was requested"
@@ -268,7 +266,7 @@ class _Side:
     def _note_drive(
         self, before: State, after: State, effects: Iterable[Effect], t_ns: int, elapsed_ns: int
     ) -> None:
-        """Note a step from `before` to `after` at `t_ns`, `elapsed_ns` after the previous step."""
+        """Add a step from `before` to `after` at `t_ns`, `elapsed_ns` after the previous step."""
         drive, following = before.drive, after.drive
         if drive is not None:
             present = self._drive(drive.request_id, t_ns - elapsed_ns)
@@ -323,7 +321,7 @@ class _TwoKernels:
         self._other.kernel = Kernel(changed(config, self._settings).kernel, snapshot.state)
 
     def stop(self) -> None:
-        """Drop both kernels until the next snapshot, because journal entries are missing."""
+        """Drop both kernels until the next snapshot."""
         self._recorded.kernel = self._other.kernel = None
 
     def step(self, event: Event) -> None:

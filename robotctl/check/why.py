@@ -153,10 +153,9 @@ _SILENT = "a silence is zero at once, and ends the motion"
 
 @dataclass(frozen=True, slots=True)
 class Why:
-    """The explanation of an incident: what happened, advice to the operator, the input, the facts
-    known to the kernel, the rule, who requested the motion, the effects, and what followed.
+    """The explanation of an incident; an unknown part is "" or ().
 
-    An unknown part is empty. In a recording of 0.1.0, `what` includes the advice.
+    In a recording of 0.1.0, `what` includes the advice.
     """
 
     what: str
@@ -170,7 +169,7 @@ class Why:
 
 
 def explain(incident: Incident) -> Why:
-    """Return why the incident happened, what preceded and followed it, and what can be done."""
+    """Return the explanation of an incident."""
     return Why(
         what=_what(incident),
         remedies=_remedies(incident),
@@ -242,7 +241,7 @@ def _came_in(incident: Incident) -> str:
 
 
 def _known(incident: Incident) -> str:
-    """Return what the kernel knew when it decided."""
+    """Return the facts that the kernel knew."""
     state = incident.after
     if state is None or incident.params is None:
         return "unknown: the journal has a gap or no snapshot before"
@@ -269,7 +268,7 @@ def _known(incident: Incident) -> str:
 
 
 def _rule(incident: Incident) -> str:
-    """Return which rule decided and the parameters that it compares, "" if that is not known."""
+    """Return the rule and its parameters, "" if the rule is unknown."""
     before, params = incident.before, incident.params
     if before is None or params is None or incident.kind is IncidentKind.KILL:
         return ""
@@ -289,7 +288,7 @@ def _rule(incident: Incident) -> str:
 
 
 def _table_rule(incident: Incident, before: State) -> str:
-    """Return which rule outside the safety table decided: table of modes, lease, end of a drive."""
+    """Return the rule outside the safety table: table of modes, lease, end of a drive."""
     event = incident.ramp[1] if incident.ramp else incident.event
     if Remedy.WAIT_FOR_LEASE in _remedies(incident):
         return "the lease: its holder alone starts and steers motion"
@@ -321,7 +320,7 @@ def _table_rule(incident: Incident, before: State) -> str:
 
 
 def _other_refusal(event: Event, before: State) -> str:
-    """Return the rule of a refusal that no table decided, neither of safety nor of modes, or ""."""
+    """Return the rule of a refusal outside the tables of safety and modes, or ""."""
     if before.phase is Phase.STOPPING:
         return "while the robot ramps down, nothing starts"
     if isinstance(event, DriveRequested) and before.mode is Mode.MOVING and not event.replace:
@@ -330,7 +329,7 @@ def _other_refusal(event: Event, before: State) -> str:
 
 
 def _asked(incident: Incident) -> str:
-    """Return which motion ended, and who had requested it; "" without a motion."""
+    """Return the motion that ended and its requester; "" without a motion."""
     before = incident.before
     if before is None or before.mode is not Mode.MOVING:
         return ""
