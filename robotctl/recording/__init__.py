@@ -1,7 +1,6 @@
-"""Recordings: write, read, recover and clip MCAP files that are valid at any moment. No ROS needed.
+"""Read, write, recover and clip MCAP recordings. No ROS needed.
 
-A library user may rely on the names in `__all__`; the modules below may change. Each name is
-imported on first use.
+A library user may rely on the names in `__all__`; the modules below may change.
 """
 
 from __future__ import annotations

@@ -32,12 +32,11 @@ Array = np.ndarray[Any, Any]
 
 @dataclass(frozen=True, slots=True)
 class TopicArrays:
-    """The fields of a topic, one entry for each message, in the order of `log_ns`.
+    """Arrays with one entry per message of a topic, in the order of `log_ns`.
 
-    `log_ns` and `publish_ns` are the times of receipt and of publication [ns since the epoch].
-    `time_s` is the log time since the first message of the recording [s]. `arrays["a.b"]` is the
-    array of the field `a.b`. A number has the field's NumPy type, and a fixed array of n numbers
-    has n columns; texts, bytes and sequences have dtype object.
+    `log_ns` and `publish_ns` are in ns since the epoch, `time_s` in seconds since the first message
+    of the recording. A fixed array of n numbers has n columns. Texts, bytes and sequences have
+    dtype object.
     """
 
     topic: str
@@ -63,14 +62,14 @@ def read_arrays(
     type_name: str = "",
     on_missing: Callable[[str], None] | None = None,
 ) -> TopicArrays:
-    """Return the values of `fields`, such as `pose.pose.position.x`; without any, of all fields.
+    """Return the arrays of `fields` of `topic`, or of all fields if none is given.
 
-    `on_missing` is called with a sentence about each part of the recording that cannot be read.
-    `type_name` chooses the message type if the topic has several.
+    `on_missing` gets a sentence about each part that cannot be read. `type_name` is needed only if
+    the topic has several types.
 
     Raises:
-        UsageError: The recording has no such topic, or the topic's type has no such field.
-        UnreadableFile: Nothing can be read; or, without `on_missing`, a part cannot be read.
+        UsageError: The recording lacks the topic or a field, or the topic has several types.
+        UnreadableFile: Nothing can be read or, without `on_missing`, a part cannot be read.
     """
     missing: list[str] = []
     tell = on_missing or (lambda sentence: note_missing(missing, sentence))
@@ -104,7 +103,7 @@ def read_arrays(
 
 
 def _places(table: TopicTable, path: str) -> Sequence[int]:
-    """Return the positions of a field's columns in a row; an array has one column per item."""
+    """Return the positions in a row of the columns of the field `path`."""
     try:
         parse_path(table.definition, path)
     except WrongValue as error:
@@ -145,7 +144,7 @@ _SQL_TYPES: Final = {
     "f": "FLOAT",
     "d": "DOUBLE",
 }
-"""SQL type of a column by the `struct` code of its numbers; a column of texts is a VARCHAR."""
+"""SQL type of a column by the `struct` code of its numbers."""
 
 _INTERRUPTED: Final = "Query interrupted"
 _ERRNO = re.compile(r'"errno":"(\d+)"')
@@ -153,18 +152,18 @@ _MEMORY_LIMIT: Final = "1GB"
 _GROUP_BYTES: Final = "64MB"
 _MAX_TIME_NS: Final = 2**63 - 1
 _LEAST_LINE: Final = 1 << 24
-"""duckdb's limit for a line of JSON [bytes]: it allocates this; only a longer line raises it."""
+"""Least value of duckdb's limit for a line of JSON [bytes]: duckdb allocates as much."""
 
 
 def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Path) -> int:
-    """Write the rows into the new Parquet file `target`; return the number of rows.
+    """Write `rows` into the Parquet file `target`, and return their number.
 
-    Lists of numbers or texts become lists, lists of messages become JSON text, and bytes become a
-    BLOB. duckdb reads the rows from a temporary file of JSON lines in the folder of `target`.
+    Lists of messages become JSON text. The folder of `target` needs room for the rows as JSON
+    lines.
 
     Raises:
         UsageError, RobotctlError: duckdb is not installed, or fails.
-        UnreadableFile: A time is too large for a BIGINT.
+        UnreadableFile: A time is beyond the year 2262.
         OSError: The disk is full or fails.
     """
     duckdb = _duckdb()

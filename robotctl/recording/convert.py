@@ -1,7 +1,4 @@
-"""Convert a recording, in MCAP or sqlite3, to new MCAP files with the same messages.
-
-Only one source file is open at a time.
-"""
+"""Convert a recording, in MCAP or sqlite3, to new MCAP files with the same messages."""
 
 from __future__ import annotations
 
@@ -72,16 +69,16 @@ _MESSAGES: Final = "SELECT topic_id, timestamp, data FROM messages ORDER BY time
 class SqliteSource:
     """Reader of a .db3 file of rosbag2, with the interface of `ReadableFile`.
 
-    Such a file has one time per message, which becomes both log time and publish time.
+    The only time of a message becomes both log time and publish time.
     """
 
     profile = PROFILE
     library = "rosbag2 (sqlite3)"
 
     def __init__(self, path: Path, content: Path, on_progress: Progress) -> None:
-        """Open the database `content`: the file `path` of the bag, or its decompressed content.
+        """Open the database `content`, the file `path` of the bag or its decompressed content.
 
-        `on_progress` is called with the messages done, and in total.
+        `on_progress` gets the messages done and in total.
 
         Raises:
             Damaged: `content` is not a database of rosbag2, or cannot be read.
@@ -185,7 +182,7 @@ class SqliteSource:
         return channels
 
     def _definitions(self) -> dict[str, str]:
-        """Return the message definitions in the database, by type; older bags have none."""
+        """Return the message definitions in the database by type, {} for older bags."""
         if not self._number("SELECT count(*) FROM sqlite_master WHERE name='message_definitions'"):
             return {}
         return {
@@ -201,7 +198,8 @@ class SqliteSource:
 
 
 def _address(path: Path) -> str:
-    """Return the URI that opens a database read-only; SQLite adds files only next to a journal."""
+    """Return the URI that opens a database read-only."""
+    # With `immutable` SQLite adds no files, but ignores a journal.
     plain = f"file:{quote(str(path.absolute()))}?mode=ro"
     has_journal = any(path.with_name(path.name + end).exists() for end in ("-wal", "-journal"))
     return plain if has_journal else f"{plain}&immutable=1"
@@ -222,15 +220,14 @@ def _decompression(path: Path) -> Callable[[bytes], bytes]:
 
 
 ConvertibleFile = ReadableFile | SqliteSource
-"""One file of a recording, open for one pass: messages, then attachments. `lost` is complete after
-that pass. Each batch of messages is written as one chunk."""
+"""One file of a recording, open for one pass. `lost` is complete after that pass."""
 
 
 class Sources:
-    """Iterable over the files of the recording `path`, in MCAP or sqlite3.
+    """Iterable over the files of a recording, in MCAP or sqlite3.
 
-    `lost` and `is_live` are complete after the iteration. `lost` has a sentence about each file
-    that is missing or cannot be opened.
+    `lost` and `is_live` are complete after the iteration. `lost` has a sentence per unreadable
+    file.
     """
 
     def __init__(self, path: Path, on_progress: Progress) -> None:
@@ -312,10 +309,7 @@ _MAX_CHARACTERS: Final = 1 << 16
 
 
 def named_policies(profiles: str) -> str:
-    """Return a YAML list of QoS profiles with each policy's number replaced by its name.
-
-    Text that is not such a list, or has no such numbers, is returned unchanged.
-    """
+    """Return a YAML list of QoS profiles with policy names for numbers, other text unchanged."""
     if len(profiles) > _MAX_CHARACTERS:
         return profiles
     try:
@@ -345,7 +339,7 @@ _QOS = "offered_qos_profiles"
 
 
 class ChannelTable:
-    """Collects the channels of all source files; equal channels get one id."""
+    """The channels of all source files. Equal channels get one id."""
 
     def __init__(self) -> None:
         self.channels: list[Channel] = []
@@ -418,7 +412,7 @@ class OutputFile:
         self._mcap.commit(finished=False)  # one at a time in memory
 
     def finish(self, ledger: Sequence[Metadata]) -> BagFile:
-        """Write `ledger` and the trailer, close the file; return its entry in `metadata.yaml`."""
+        """Complete and close the file, and return its entry in `metadata.yaml`."""
         self._announce()
         summary = self._mcap.summary
         described = BagFile(self._path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
@@ -459,7 +453,7 @@ class Form:
 
 @dataclass(slots=True)
 class Converted:
-    """The result of a conversion; `lost` has a sentence for each part that could not be read."""
+    """The result of a conversion. `lost` has a sentence per unreadable part."""
 
     files: list[BagFile] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
@@ -488,7 +482,7 @@ class Converter:
         self.done = Converted()
 
     def run(self, sources: Iterable[ConvertibleFile]) -> Converted:
-        """Convert the source files in the given order; return the result.
+        """Convert the source files in the given order, and return the result.
 
         Raises:
             OSError: The disk is full or fails.
@@ -521,7 +515,7 @@ class Converter:
         self.done.lost += (f"{source.name}: {sentence}" for sentence in source.lost)
 
     def _file_for(self, source: ConvertibleFile) -> OutputFile:
-        """Return the output file for the beginning of `source`: the current or a new one."""
+        """Return the current or a new output file for the beginning of `source`."""
         output = self._output
         if output is None:
             return self._begin(source)
@@ -563,7 +557,7 @@ MCAP_SUFFIX = ".mcap"
 def convert(
     source: Path, target: Path, form: Form, on_progress: Progress = lambda done, total: None
 ) -> Converted:
-    """Convert the recording `source` to `target`: a file if the name ends in .mcap, or a folder.
+    """Convert the recording `source` to `target`, a file if named `*.mcap`, else a folder.
 
     Raises:
         UnreadableFile: Nothing can be read, or there are over _MAX_CHANNELS channels.

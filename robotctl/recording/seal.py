@@ -1,10 +1,7 @@
-"""The signing keys of a robot, and the ends of sealed files that this machine knows.
+"""The signing keys of a robot, and the sealed files known to this machine.
 
-Each file of a recording has a different key, which the key of the previous file signs. Then the old
-private key is overwritten: a thief of the present key cannot sign older files. `key.json` (0600) in
-the state folder has the present private key, the number of files and the newest link (the head).
-The journal of decisions, in the folder next to it, has a line for each sealed file that was opened
-or closed; these lines outlive recordings.
+The key of each file signs the key of the next file, and is then overwritten: a thief of the present
+key cannot sign older files. The journal of decisions lists each sealed file for good.
 """
 
 from __future__ import annotations
@@ -75,7 +72,7 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
 
 
 def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
-    """Return the data of a key's first signature; `digests` are of the decisions' journal."""
+    """Return the signed bytes that bind `opening` to the digests of the journal of decisions."""
     return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
 
 
@@ -85,7 +82,7 @@ _MAX_KEY_BYTES = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The newest stored link of a robot's chain of files; `file` is "" before the first file."""
+    """The newest stored link of a robot's chain of files. `file` is "" before the first file."""
 
     file: str = ""
     number: int = 0
@@ -97,8 +94,9 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class StoredKey:
-    """The content of `key.json`. `seed` is the private key and `key` the public key, both in hex;
-    `root` is the robot's first public key, and `files` is the number of files that were opened.
+    """The content of `key.json`, with keys in hex.
+
+    `seed` is the private key, `root` the first public key of the chain, `files` the opened files.
     """
 
     root: str
@@ -116,20 +114,20 @@ class StoredKey:
 
 
 class Keyring:
-    """The keys of one robot, created when first needed; implements `Sealer` for the recorder.
+    """The keys of one robot, created when first needed.
 
     All methods but `load` raise RobotctlError if a folder is not trusted or cannot be created.
     """
 
     def __init__(self, folder: Path, robot: str, on_head: Callable[[Head], None] = lambda _: None):
-        """Keep `key.json` in `folder`. `keep` calls `on_head` with each head that it has stored."""
+        """Keep `key.json` in `folder`. `on_head` gets each head after `keep` has stored it."""
         self._folder = folder
         self._journal = folder.with_name(FOLDER)
         self._robot = robot
         self._on_head = on_head
 
     def load(self) -> StoredKey | None:
-        """Return the present key; None if the robot has no key yet.
+        """Return the present key, or None if the robot has no key yet.
 
         Raises:
             OSError: `key.json` cannot be read.
@@ -149,10 +147,10 @@ class Keyring:
         return stored
 
     def open_file(self, file: str) -> SealOfFile:
-        """Return the seal of a new file; its new key replaces the stored key of the last file.
+        """Return the seal of a new file. Its key replaces the stored key.
 
         Raises:
-            OSError, ValueError: The keys cannot be read or written, so the file gets no seal.
+            OSError, ValueError: The keys cannot be read or written.
         """
         with self._locked():
             stored = self._load_or_make()
@@ -179,7 +177,7 @@ class Keyring:
         return SealOfFile(opening, key.sign)
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Store a link as the head that the next file continues.
+        """Store `link` as the head that the next file continues.
 
         Raises:
             OSError, ValueError: The link cannot be stored, or another recorder opened a later file.
@@ -199,7 +197,7 @@ class Keyring:
         self._on_head(head)
 
     def rotate(self) -> StoredKey:
-        """Begin a new chain with a new first key, which the present key signs.
+        """Begin a new chain, and return its first key, which the present key signs.
 
         Raises:
             OSError, ValueError: The present key cannot be read, or the new key cannot be written.
@@ -246,26 +244,23 @@ class Keyring:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Keep other processes from changing keys or journal during the block.
-
-        First, move OLD_LIST, if it exists, into the journal; a kill meanwhile may duplicate lines.
-        """
+        """Lock keys and journal during the block. An OLD_LIST is first moved into the journal."""
         make_private(self._folder)
         old = self._folder / OLD_LIST
         with locked(self._journal):
             with suppress(OSError):  # the list stays, and is read where it is
                 if old.exists():
                     append(kept_file(self._journal), entries_of_list(old))
-                    old.replace(old.with_name(f"{OLD_LIST}.old"))
+                    old.replace(old.with_name(f"{OLD_LIST}.old"))  # a kill before doubles lines
             yield
 
 
 OLD_LIST: Final = "heads.jsonl"
-"""The list of opened and closed files that early versions kept in the folder of the keys."""
+"""The list of opened and closed files of early versions, in the folder of the keys."""
 
 
 def entries_of_list(path: Path) -> Iterator[Entry]:
-    """Yield the lines of an early version's list as entries of the journal; skip malformed lines.
+    """Yield the valid lines of an OLD_LIST as entries of the journal.
 
     Raises:
         OSError: The list does not exist, or cannot be read.
@@ -280,11 +275,10 @@ def entries_of_list(path: Path) -> Iterator[Entry]:
 
 @dataclass(slots=True)
 class KnownHeads:
-    """The sealed files of all robots. `opened` and `closed` have openings and ends by public key.
+    """The sealed files of all robots; `opened` and `closed` have them by public key.
 
-    `signed` has the names of the files that have at least one signed link. `keys` has the public
-    keys of the files by name: several files can have the same name if the clock was set back after
-    a recording was removed.
+    `signed` has the names of the files with a signed link. `keys` has the public keys by file name:
+    a name can repeat after the clock was set back.
     """
 
     opened: dict[str, Opening] = field(default_factory=dict)
@@ -293,10 +287,10 @@ class KnownHeads:
     keys: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, entry: Entry) -> None:
-        """Add the opening or the end of a file that a line of a journal contains.
+        """Add the opening or end of a file from an entry of a journal.
 
         Raises:
-            ValueError, TypeError, KeyError: The line is malformed.
+            ValueError, TypeError, KeyError: The entry is malformed.
         """
         if entry.kind == DecisionKind.OPENED:
             opening = _opening(entry)
@@ -325,7 +319,7 @@ def _opening(entry: Entry) -> Opening:
 
 
 def known_heads() -> KnownHeads:
-    """Return the sealed files in all journals of this user; skip what cannot be read."""
+    """Return the sealed files in all readable journals of this user."""
     heads = KnownHeads()
     with suppress(RobotctlError, OSError):
         for robot in state_folder().iterdir():

@@ -23,7 +23,7 @@ _ENCODING = "cdr"
 
 
 def choose_topic(info: RecordingInfo, name: str, type_name: str, *, listing: str) -> TopicInfo:
-    """Return the topic `name` of `type_name`; "" stands for any type.
+    """Return the topic `name` with the type `type_name` or, for "", any type.
 
     The leading / of `name` is optional. The error suggests `listing`, which lists the topics.
 
@@ -62,20 +62,19 @@ TIME_COLUMNS: Final = (
     FieldPath(("publish_ns",), Field("publish_ns", "int64")),
     FieldPath(("time_s",), Field("time_s", "float64")),
 )
-"""The first columns of each table: when a message was received and published [ns since the epoch],
-and when it was received [s since the first message of the recording]."""
+"""Receipt and publication [ns since the epoch], and receipt since the first message [s]."""
 
 _DESCRIBED_IN: Final = "ros2msg"
 
 
 class TopicTable:
-    """The messages of a topic as rows; the first values of a row are those of TIME_COLUMNS."""
+    """The messages of a topic as rows that begin with the values of TIME_COLUMNS."""
 
     def __init__(self, recording: Recording, topic: TopicInfo) -> None:
-        """Prepare the columns of the topic's type; `recording` must stay open.
+        """Prepare the columns. `recording` must stay open.
 
         Raises:
-            UnreadableFile: The recording has no definition of the type that can be read.
+            UnreadableFile: The recording has no readable definition of the type.
         """
         self._recording = recording
         self.topic = topic
@@ -86,10 +85,10 @@ class TopicTable:
         """The columns, in the order of the values of a row."""
 
     def rows(self, on_missing: Callable[[str], None], window: Window = ALWAYS) -> Iterator[Row]:
-        """Yield the rows in order of log time, from start to end of `window` [ns], both included.
+        """Yield the rows with a log time in `window` [ns], in the order of log time.
 
-        `on_missing` is called with a sentence about each part that cannot be read, and at the end
-        with one about messages that do not fit their type.
+        `on_missing` gets a sentence about each part that cannot be read, and about messages that do
+        not fit their type.
         """
         row_of, start_ns, type_name = self._decoder.row, self._start_ns, self.topic.type_name
         misfits, reason = 0, ""
@@ -111,7 +110,7 @@ def recorded_definition(topic: TopicInfo) -> Definition:
     """Return the definition of a topic's message type.
 
     Raises:
-        UnreadableFile: The recording has no definition of the type, or it cannot be read.
+        UnreadableFile: The definition is missing or cannot be read.
     """
     is_empty = topic.type_name.endswith("/Empty")
     if not topic.definition.strip() and not is_empty:
@@ -128,7 +127,7 @@ def recorded_definition(topic: TopicInfo) -> Definition:
 
 
 def _beside_times(column: FieldPath) -> FieldPath:
-    """Return the column of a field, renamed to `message.` + name if a time column has its name."""
+    """Return `column`, with the prefix `message.` if a time column has its name."""
     if column.name in {each.name for each in TIME_COLUMNS}:
         return FieldPath(("message", *column.steps), column.field)
     return column
@@ -137,12 +136,11 @@ def _beside_times(column: FieldPath) -> FieldPath:
 _Change = Callable[[Any], Any]
 
 _BOTH: Final = "\r\n"
-"""The row end that module `csv` writes, and `_LineFeeds` replaces. Before Python 3.13, `csv` quotes
-a text with CR or LF only if that character is in the row end, but readers end a row at either."""
+"""A row end for `csv` that makes it quote CR and LF in texts, also before Python 3.13."""
 
 
 def write_csv(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO) -> int:
-    """Write a header and the rows; return the number of rows.
+    """Write a header and the rows, and return the number of rows.
 
     Lines end with a line feed. Lists become JSON, bytes base64, NaN and infinity `nan` and `inf`.
     """
@@ -152,12 +150,12 @@ def write_csv(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO)
 
 
 def write_json_lines(columns: Sequence[FieldPath], rows: Iterable[Row], stream: TextIO) -> int:
-    """Write each row as a line of JSON, by `json_lines`; return the number of rows."""
+    """Write the rows as `json_lines` yields them, and return their number."""
     return sum(bool(stream.write(line)) for line in json_lines(columns, rows))
 
 
 def json_lines(columns: Sequence[FieldPath], rows: Iterable[Row]) -> Iterator[str]:
-    """Yield each row as a line of ASCII: a JSON object with the column names as keys.
+    """Yield each row as an ASCII line with a JSON object by column name.
 
     Bytes become base64. NaN and infinity become the texts `NaN`, `Infinity` and `-Infinity`.
     """

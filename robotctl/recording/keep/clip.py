@@ -1,7 +1,6 @@
-"""Clips: self-contained files, each cut from a recording around an event.
+"""Cut clips, self-contained files, from a recording.
 
-A clip begins with the journal since its last snapshot and the last messages of latched topics, so
-that a new kernel can repeat all decisions in the clip.
+A clip begins with the journal since its last snapshot, and the last latched messages.
 """
 
 from __future__ import annotations
@@ -50,17 +49,13 @@ _OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, 
 def records_of_clip(
     recorded: Iterable[Metadata], window: Window
 ) -> Iterator[tuple[str, Mapping[str, str]]]:
-    """Yield name and values of each metadata record that a clip of `window` copies.
-
-    Each file repeats the records in OF_EACH_FILE, so only the last of them is copied. Its `mode` is
-    left out unless it is OBSERVING, because the mode may change within the clip.
-    """
+    """Yield name and values of each metadata record for a clip of `window`."""
     records = list(recorded)
     for record in records:
         if record.name not in (*_OF_THE_WHOLE, *OF_EACH_FILE):
             yield record.name, record.metadata
     last = {record.name: record.metadata for record in records}
-    for name in OF_EACH_FILE:
+    for name in OF_EACH_FILE:  # each file repeats these; the mode may change within the clip
         if name in last:
             yield name, {k: v for k, v in last[name].items() if k != "mode" or v == OBSERVING}
     for event in events_in(records):
@@ -79,7 +74,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What a clip is about: an event of the recording or, if `kind` is None, just a time."""
+    """The subject of a clip, an event of the recording or, if `kind` is None, a time."""
 
     log_ns: int
     kind: EventKind | None = None
@@ -93,10 +88,10 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """A finished clip; `lost` has a sentence for each part that could not be read.
+    """A finished clip. `lost` has a sentence per unreadable part.
 
-    `start_ns` and `end_ns` are the part of the requested time range that the recording has, in ns
-    since the epoch. `message_count` includes earlier messages that are repeated at the start.
+    `start_ns` and `end_ns` [ns since the epoch] are limited to the times of the recording.
+    `message_count` includes the earlier messages at the start.
     """
 
     target: Path
@@ -134,10 +129,7 @@ def cut_clip(
 
 
 def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[Message]:
-    """Yield the messages of a clip of `window` (ns, both ends included), in the clip's order.
-
-    `lose` is called with a sentence about each part that cannot be read.
-    """
+    """Yield the messages of a clip of `window` (ns, both ends included), in the clip's order."""
     yield from _before(recording, window[0], lose)
     yield from recording.messages(None, lose, window)
 
@@ -165,9 +157,7 @@ def _write_clip(
     lost: list[str],
     on_progress: Progress,
 ) -> int:
-    """Write the clip into a file called `name`; return the number of messages.
-
-    `lost` gets a sentence about each part that cannot be read.
+    """Write the clip, add losses to `lost`, and return the number of messages.
 
     Raises:
         OSError: The disk is full or fails.
@@ -235,7 +225,7 @@ _LOOK_AGAIN_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ClipJob:
-    """A clip to cut from `source`; if `target` is None, it goes to the clips folder of `source`."""
+    """A clip to cut from `source` into `target`, by default in the recording's clips folder."""
 
     source: Path
     moment: Moment
@@ -250,14 +240,14 @@ class ClipJob:
 
 
 def remaining_s(job: ClipJob, listed: ListedRecording) -> float:
-    """Return the time [s] until the end of the clip has been recorded, 0 if no more is to come."""
+    """Return the time until the end of the clip [s], 0 if nothing more is recorded for it."""
     if not listed.live or listed.end_ns >= job.end_ns:
         return 0.0
     return max(job.end_ns - time.time_ns(), 0) / NS_PER_S
 
 
 def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) -> Clip:
-    """Wait until the recording contains the clip, has ended or is PATIENCE_S late; then cut it.
+    """Wait for the messages of the clip, at most PATIENCE_S after they are due, and cut it.
 
     Raises:
         Refused: There is nothing to cut, or the clip cannot be written.
@@ -292,14 +282,11 @@ def _wait_for_end(job: ClipJob) -> None:
 
 
 def _free_name(job: ClipJob) -> Path:
-    """Return an unused name in the clips folder of the recording, and create that folder.
-
-    The clip of a file at a URL is written into the working directory.
-    """
+    """Return an unused path in the recording's clips folder, which is created if missing."""
     source = job.source
     folder = (source if source.is_dir() else source.parent) / CLIPS_FOLDER
     if isinstance(source, RemoteFile):
-        folder = Path()
+        folder = Path()  # the working directory
     try:
         if not folder.is_dir():
             make_folder(folder, shared=is_shared(folder.parent))

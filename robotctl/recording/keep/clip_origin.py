@@ -40,9 +40,9 @@ _AFTERWARDS: Final = (CONVERSION_RECORD, RECOVERY_RECORD)
 
 @dataclass(slots=True)
 class Origin:
-    """The comparison of a clip with its source; `wrong` has a sentence for each difference.
+    """The comparison of a clip with its source. `wrong` has a sentence per difference.
 
-    `not_proved` has the claims that the source cannot confirm; `messages` counts equal messages.
+    `not_proved` has the claims that the source cannot confirm, `messages` counts equal messages.
     """
 
     clip: Path
@@ -55,7 +55,7 @@ class Origin:
 
 
 def compare_with_source(clip: Path, source: Path) -> Origin:
-    """Compare all that a clip copied with its source (a recording or its file); return the result.
+    """Compare the content of `clip` with `source`, a recording or one of its files.
 
     Raises:
         UnreadableFile: `clip` or `source` cannot be read, or `clip` is not a clip.
@@ -84,10 +84,7 @@ def compare_with_source(clip: Path, source: Path) -> Origin:
 def _differences(
     clip: Recording, source: Recording, about: Mapping[str, str], origin: Origin
 ) -> Iterator[str]:
-    """Yield a sentence for each difference other than in messages.
-
-    Source files that were added after the clip was cut are ignored.
-    """
+    """Yield a sentence per difference except in messages, ignoring later source files."""
     named = about.get("of", "").split(", ")
     files = [each for each in source.open_files if each.path.name in named]
     if [each.path.name for each in files] != named:

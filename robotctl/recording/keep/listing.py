@@ -1,4 +1,4 @@
-"""List the recordings in a folder: all, or those that robotctl wrote and may change."""
+"""List all recordings in a folder, or only those of robotctl."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KEEP_FILE = "keep"
 """A recording with a file of this name in its folder is never removed."""
 
 CLIPS_FOLDER = "clips"
-"""Subfolder of a recording. Clips are not part of the bag, but are kept or removed with it."""
+"""Subfolder for the clips of a recording, which are not part of the bag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class CatalogFile:
 
 @dataclass(frozen=True, slots=True)
 class CatalogFolder:
-    """A recording of robotctl: its files by number, and its clips. If `kept`, it is not removed."""
+    """A recording of robotctl, with its files in order. Retention skips it if `kept`."""
 
     path: Path
     files: tuple[CatalogFile, ...]
@@ -61,12 +61,12 @@ class CatalogFolder:
 
 
 def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
-    """Yield the recordings directly below `recordings`, ordered by name.
+    """Yield robotctl's recordings directly below `recordings`, ordered by name.
 
-    Symbolic links are not followed. Folders that cannot be read are skipped.
+    Symbolic links and unreadable folders are skipped.
 
     Raises:
-        OSError: `recordings` itself cannot be listed.
+        OSError: `recordings` cannot be listed.
     """
     for folder in sorted(recordings.iterdir()):
         with suppress(OSError):
@@ -122,7 +122,7 @@ def _own(paths: Iterable[Path]) -> Iterator[CatalogFile]:
 
 
 def is_own(path: Path) -> bool:
-    """Return whether the header of a file says that robotctl wrote it.
+    """Return whether robotctl wrote a file, by its header.
 
     Raises:
         OSError: The file cannot be opened.
@@ -140,10 +140,9 @@ GRAVEST_FIRST = (EventKind.EMERGENCY_STOP, EventKind.ERROR)
 
 @dataclass(frozen=True, slots=True)
 class ListedRecording:
-    """A recording: a folder of files, or a single file.
+    """A recording in a folder or a single file. All times are since the epoch.
 
-    All times are since the epoch. `start_ns` and `end_ns` are 0 if there are no messages.
-    `damage` has a sentence for each part that cannot be read; `readable` is False if none can.
+    `start_ns` and `end_ns` are 0 without messages. `damage` has a sentence per unreadable part.
     """
 
     path: Path
@@ -167,26 +166,23 @@ class ListedRecording:
 
     @property
     def laps(self) -> int:
-        """Completed laps of the drives that have ended."""
+        """Completed laps of the ended drives."""
         return sum(event.laps for event in self.events)
 
     @property
     def driven_s(self) -> float | None:
-        """Total duration of the drives that have ended [s]; None if no duration is known."""
+        """Total duration of the ended drives [s], None if unknown."""
         known = [event.drive_s for event in self.events if event.drive_s is not None]
         return sum(known) if known else None
 
     def largest(self, error: str) -> float | None:
-        """Return the largest value of an error in all drives, None if no value is known.
-
-        `error` is a name in recording.format.recorded_events.ERRORS.
-        """
+        """Return the largest value of `error`, one of `recorded_events.ERRORS`, None if unknown."""
         known: list[float | None] = [getattr(event, error) for event in self.events]
         return max((each for each in known if each is not None), default=None)
 
     @property
     def worst(self) -> EventKind | None:
-        """The gravest event; None without an emergency stop or error."""
+        """The gravest kind of event, None without an emergency stop or error."""
         kinds = {event.kind for event in self.events}
         return next((kind for kind in GRAVEST_FIRST if kind in kinds), None)
 
@@ -194,9 +190,9 @@ class ListedRecording:
 def list_recordings(
     folder: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Iterator[ListedRecording]:
-    """Yield the recordings directly below `folder`, ordered by name.
+    """Yield the recordings directly below `folder`, ordered by name, without links.
 
-    `on_progress` gets two counts, of finished and of all recordings. Links are not followed.
+    `on_progress` gets the recordings done and in total.
 
     Raises:
         OSError: `folder` cannot be listed.
@@ -210,7 +206,7 @@ def list_recordings(
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Return the recordings, and the folders that may not be listed, ordered by name; skip links.
+    """Return the recordings and unlistable folders in `folder` by name, without links.
 
     Raises:
         OSError: `folder` cannot be listed.
@@ -225,7 +221,7 @@ def _is_listed(path: Path) -> bool:
 
 
 def list_recording(path: Path) -> ListedRecording:
-    """Return the recording in `path`, a folder or a file; damaged parts do not raise.
+    """Return the description of the recording `path`, even if parts are damaged.
 
     Raises:
         OSError: `path` does not exist or holds no recording.

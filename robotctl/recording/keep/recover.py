@@ -1,4 +1,4 @@
-"""Recover what can be read of a broken file, whichever program wrote it, into a new file."""
+"""Recover the readable part of a broken file of any program into a new file."""
 
 from __future__ import annotations
 
@@ -64,11 +64,7 @@ def seal_of_repair(written: WrittenFile) -> Iterator[bytes]:
 
 
 def seal_of_copy(file: InputFile) -> Iterator[bytes]:
-    """Yield the seal records for a copy of a sealed file, or nothing if the file has no seal.
-
-    They are the opening of the original, and an unsigned link of kind REPAIRED, which covers no
-    byte and has the newest digest that was read from the original.
-    """
+    """Yield the opening and an unsigned REPAIRED link for a copy, nothing without a seal."""
     opening: Opening | None = None
     newest = Link(LinkKind.REPAIRED, number=1, covered=0, time_ns=0, digest=NO_DIGEST)
     offset = len(MAGIC)
@@ -94,10 +90,9 @@ def seal_of_copy(file: InputFile) -> Iterator[bytes]:
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
-    """The result of a recovery; `lost` has a sentence about each part that was not recovered.
+    """The result of a recovery. `lost` has a sentence per part that was not recovered.
 
-    `limit_reached` is True if more can be read with higher read limits. `failure` is not None if
-    the disk or the memory failed while reading: a later attempt may recover more.
+    Higher read limits recover more if `limit_reached`, a later attempt after a `failure`.
     """
 
     target: Path
@@ -115,13 +110,11 @@ def recover(
     on_progress: Progress = lambda done, total: None,
     open_file: Callable[[Path], Storage] = DiskFile,
 ) -> RecoveryReport:
-    """Write all that can be read of the file `source` into the new file `target`.
+    """Write the readable part of the file `source` into the new file `target`.
 
     Raises:
-        UnreadableFile: Nothing can be read.
-        Refused: `target` exists or cannot be written.
-
-    After an error no new file remains.
+        UnreadableFile: Nothing can be read. No new file remains.
+        Refused: `target` exists or cannot be written. No new file remains.
     """
     with ExitStack() as stack:
         try:
@@ -141,9 +134,7 @@ def recover(
 
 
 def _copy(file: ReadableFile, storage: Storage) -> tuple[int, int]:
-    """Copy what can be read of one file: messages in file order, attachments, metadata.
-
-    Return the numbers of messages and attachments.
+    """Copy the readable part of `file`; return the numbers of messages and attachments.
 
     Raises:
         OSError: The disk is full or fails.
@@ -180,13 +171,11 @@ def _copy(file: ReadableFile, storage: Storage) -> tuple[int, int]:
 def recover_folder(
     source: Path, target: Path, *, on_progress: Progress = lambda done, total: None
 ) -> RecoveryReport:
-    """Write all that can be read of the recording `source` into the new folder `target`.
+    """Write the readable part of the recording `source` into the new folder `target`.
 
     Raises:
-        UnreadableFile: Nothing can be read.
-        Refused: `target` exists or cannot be written.
-
-    After an error no new folder remains.
+        UnreadableFile: Nothing can be read. No new folder remains.
+        Refused: `target` exists or cannot be written. No new folder remains.
     """
     text = metadata_text(source)
     paths = recording_files(source)

@@ -1,8 +1,4 @@
-"""Tidy a recordings folder: remove old files, repair those that a crash or power cut interrupted.
-
-A file that cannot be read now, because the disk fails or memory is short, is left as it is: the
-next start retries.
-"""
+"""Remove old files from a recordings folder, and repair files that were not closed."""
 
 from __future__ import annotations
 
@@ -50,7 +46,7 @@ from robotctl.recording.write.mcap_writer import McapFile
 
 
 def messages_of_chunk(file: InputFile, offset: int) -> list[PlainMessage]:
-    """Return the messages of the chunk at `offset`; none if no complete chunk begins there."""
+    """Return the messages of the chunk at `offset`, [] without a complete chunk there."""
     try:
         head = read_chunk_head(file, offset, file.record(offset).end - offset)
         data, found = read_chunk(file, head), list[PlainMessage]()
@@ -68,11 +64,10 @@ _UNFINISHED = ".repair"
 
 
 def repair(recordings: Path) -> Iterator[TidyNote]:
-    """Repair recordings below `recordings` that no process is writing; yield a note of each repair.
+    """Repair the files below `recordings` that were not closed, and yield a note of each.
 
-    Blocks, because files that were not closed are read completely. A file that was not closed but
-    is complete is marked as checked, so that it is read only once. A torn file is replaced by its
-    readable part. If a file cannot be repaired, a note with `problem` is yielded.
+    Blocks. Recordings that a process is writing are skipped. A torn file is replaced by its
+    readable part.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -128,7 +123,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _repair_file(path: Path) -> TidyNote | None:
-    """Repair the file and return a note; None if it was closed properly or is repaired already.
+    """Repair the file and return a note, None if it was closed or repaired before.
 
     Raises:
         OSError, Damaged, MemoryError: The file is unchanged.
@@ -166,7 +161,7 @@ def _close(
 ) -> None:
     """Write `messages` and a trailer behind the data, and mark the file as checked.
 
-    `old_end` is what now follows the data; these bytes are restored after an error.
+    After an error, the bytes `old_end` are restored behind the data.
 
     Raises:
         OSError: The disk is full or fails.
@@ -200,7 +195,7 @@ def _verify(file: InputFile, index: FileIndex) -> None:
 
 
 def _replace(path: Path) -> TidyNote:
-    """Replace the file by what can be read of it.
+    """Replace the file by its readable part.
 
     Raises:
         OSError: The disk is full or fails.
@@ -234,7 +229,7 @@ def _failed(name: str, error: Exception) -> TidyNote:
 
 @dataclass(frozen=True, slots=True)
 class TidyJob:
-    """Which folder to tidy, how much to keep in it, and whether to repair what is kept."""
+    """The parameters of `tidy`; `repairs` switches the repair on."""
 
     recordings: Path
     policy: RetentionPolicy
@@ -242,9 +237,9 @@ class TidyJob:
 
 
 def tidy(job: TidyJob) -> Iterator[TidyNote]:
-    """Report noted removals, remove old files, repair the rest; yield a note of each action.
+    """Tidy a recordings folder, and yield a note of each removal, repair and failure.
 
-    Blocks, also while another process tidies the folder. Open recordings are not changed.
+    Blocks, also while another process tidies the folder. Files being written are unchanged.
     """
     recordings = job.recordings
     try:

@@ -1,4 +1,4 @@
-"""Remove the oldest files of robotctl's recordings, so that the disk does not fill up."""
+"""Remove the oldest files of robotctl's recordings, and note each removal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from robotctl.recording.read.records import InputFile
 
 
 def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
-    """Write a `metadata.yaml` for `files`, in this order, into `folder`; skip unreadable files.
+    """Write the `metadata.yaml` of `folder` for `files` in this order, without damaged files.
 
     Raises:
         OSError: `metadata.yaml` cannot be written, or a file cannot be opened.
@@ -56,7 +56,7 @@ class TidyNote(NamedTuple):
     """Whether data is lost, or a user must do something."""
 
     removed: str = ""
-    """The path of a file that retention removed."""
+    """The path of a removed file, or ""."""
 
 
 NOTES_FILE: Final = ".removed.jsonl"
@@ -67,7 +67,7 @@ _APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_N
 
 
 def note_removal(recordings: Path, path: Path, text: str) -> None:
-    """Note that `path` is about to be removed; `text` is the reason.
+    """Note the coming removal of `path` with its reason `text`.
 
     Raises:
         OSError: The note cannot be written.
@@ -94,9 +94,9 @@ def withdraw_note(recordings: Path, path: Path) -> None:
 
 
 def noted_removals(recordings: Path) -> Iterator[TidyNote]:
-    """Yield each removal whose file is gone, then delete its note. Call this under `only_one_in`.
+    """Yield the noted removals of files that are gone. Call this under `only_one_in`.
 
-    The note of a file that still exists stays: its removal is in progress, or was interrupted.
+    A reported note is deleted.
     """
     path = recordings / NOTES_FILE
     notes = dict(_notes(path))
@@ -105,6 +105,7 @@ def noted_removals(recordings: Path) -> Iterator[TidyNote]:
     for removed, text in notes.items():
         if not os.path.lexists(removed):
             yield TidyNote(f"{text}: {removed}", removed=removed)
+    # The removal of a file that exists is in progress, or was interrupted.
     still = {removed: text for removed, text in notes.items() if os.path.lexists(removed)}
     with suppress(OSError):
         _write(path, still)
@@ -112,7 +113,7 @@ def noted_removals(recordings: Path) -> Iterator[TidyNote]:
 
 @contextmanager
 def only_one_in(recordings: Path) -> Iterator[None]:
-    """Lock a folder during the block, so that only one process tidies it; wait for the lock.
+    """Wait for the lock of the folder `recordings`, and keep it during the block.
 
     Raises:
         OSError: The folder cannot be opened.
@@ -145,7 +146,7 @@ def _notes(path: Path) -> Iterator[tuple[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class RetentionPolicy:
-    """How much to keep: in total [bytes] and for how long [s]; None means no limit."""
+    """The limits of a recordings folder in size and age. None means no limit."""
 
     max_bytes: int | None = 20_000_000_000
     max_age_s: float | None = 30 * DAY_S
@@ -158,11 +159,10 @@ def enforce_retention(
     may_remove: Callable[[CatalogFile, CatalogFolder], bool] = lambda file, folder: True,
     on_failure: Callable[[CatalogFile, OSError], None] = lambda file, error: None,
 ) -> list[CatalogFile]:
-    """Remove files below `recordings`, the oldest first, until `policy` is met; return them.
+    """Remove the oldest files below `recordings` until `policy` is met, and return them.
 
-    Never removed: a file that is being written, a recording with a `keep` file and its clips, and
-    files that robotctl did not write. `may_remove` is called just before each removal and may
-    prevent it; `on_failure` is called if a removal fails. `now_s` is since the epoch. Blocks.
+    Files being written, kept recordings and files of other programs are never removed. `may_remove`
+    is called before each removal and may prevent it. `now_s` is since the epoch. Blocks.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -197,7 +197,7 @@ def enforce_retention(
 
 
 def remove_recording(folder: CatalogFolder) -> list[CatalogFile]:
-    """Remove the files and clips of a recording, and return the removed paths. This call blocks.
+    """Remove the files and clips of a recording, and return them. Blocks.
 
     The recording must be neither live nor kept. The folder stays if it has other files.
 
@@ -216,7 +216,7 @@ def remove_recording(folder: CatalogFolder) -> list[CatalogFile]:
 
 
 def _tidy(folder: CatalogFolder, gone: set[Path]) -> None:
-    """Update `metadata.yaml` after files were removed; without a file left, remove the folder."""
+    """Update `metadata.yaml` after a removal, or remove the folder if no file is left."""
     if folder.live:
         return  # its writer updates metadata.yaml
     left = [file.path for file in folder.files if file.path not in gone]
