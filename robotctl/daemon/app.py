@@ -49,10 +49,7 @@ PROBE_NODE = "_command_probe"
 
 
 async def choose_command_type(host: Host) -> CommandType:
-    """Return the configured command type.
-
-    `auto` means TwistStamped if all subscribers that may move a robot use it, otherwise Twist.
-    """
+    """Return the configured command type, or for `auto` that of the robot's subscribers."""
     command = host.config.kernel.command
     if command.stamped is Stamping.AUTO and not (host.alone or host.options.sim):
         chosen = await _taken_type(host, command)

@@ -227,10 +227,7 @@ class _StderrHandler(LineHandler):
 
 @contextmanager
 def log_to_stderr(line: str = _FORMAT) -> Iterator[None]:
-    """Log to stderr within the block; at its end, write the queue for at most FLUSH_S.
-
-    `line` is a format of `logging.Formatter`. A later line reports the number of lost lines.
-    """
+    """Log to stderr within the block in the format `line`; write the rest for at most FLUSH_S."""
     listener = _StderrListener()
     handler = _StderrHandler(listener, line)
     listener.start()
@@ -261,7 +258,7 @@ Publish = Callable[[logging.LogRecord, str], None]
 class LoopHandler(LineHandler):
     """Publishes the records of all threads in the loop, without blocking these threads.
 
-    A later line reports the number of lost lines. Records of `publish` itself are ignored.
+    A later line reports the number of lost lines. Records that `publish` logs are ignored.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, publish: Publish) -> None:

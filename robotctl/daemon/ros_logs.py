@@ -58,13 +58,10 @@ class LoggerLevels:
         return ""
 
     def set(self, name: str, level: int, source: str) -> None:
-        """Set a level that `refusal` allows, and log the change and its source.
-
-        For the root logger, whose name is "", the level UNSET means INFO, as in rcutils.
-        """
+        """Set a level that `refusal` allows, and log it. UNSET for the root logger means INFO."""
         before = self.get(name)
         if name == "" and level == UNSET:
-            level = logging.INFO
+            level = logging.INFO  # as in rcutils
         if level == before:
             return
         self.named.add(name)

@@ -65,7 +65,7 @@ STALL_S = 0.1
 """Least time without a tick after which the loop has stalled."""
 
 CONFIRM_S = 0.02
-"""How long the watchdog waits for a late tick of a paused process before it reports a stall."""
+"""How long the watchdog waits for a late tick of a paused process before it sends zeros."""
 
 STALL_TICKS = 2.5
 """The least number of tick periods without a tick after which the loop has stalled."""

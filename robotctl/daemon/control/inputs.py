@@ -170,11 +170,7 @@ HOST = slice(4)
 
 
 def is_remote(own_gid: bytes) -> bool:
-    """Return whether the present request may come from another host.
-
-    A client without a known gid is remote unless discovery is limited to this machine. Clients can
-    forge a gid.
-    """
+    """Return whether the present request may come from another host; clients can forge this."""
     # Even with discovery limited to this machine, another host may name it as its static peer.
     gid = requester()
     return not is_on_this_machine_only() if gid is None else gid[HOST] != own_gid[HOST]

@@ -99,7 +99,7 @@ class BlackBox:
             await self._came.wait()
 
     async def finish(self) -> None:
-        """Cut the clips that remain when the recording is closed, for at most `end_s`."""
+        """Cut the clips that remain when the recording is closed; begin none after `end_s`."""
         until = time.monotonic() + self._limits.end_s
         if self._cutting is not None:
             await asyncio.wait({self._cutting}, timeout=self._limits.end_s)

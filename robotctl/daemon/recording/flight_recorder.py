@@ -52,10 +52,7 @@ _log = logging.getLogger(__name__)
 
 
 class FlightRecorder:
-    """Records robotctl's own topics at once, and other topics while the tasks of `work` run.
-
-    The topic filter cannot exclude command, odometry, robot status and journal.
-    """
+    """Records robotctl's own topics at once, and other topics while the tasks of `work` run."""
 
     def __init__(
         self,
@@ -204,10 +201,7 @@ class FlightRecorder:
         return counts
 
     async def close(self) -> None:
-        """Close the recording; then send the seal's last head, cut clips and start the indexing.
-
-        Messages that arrive from now on are dropped.
-        """
+        """Close the recording; then send the seal's last head, cut clips and start the indexing."""
         self._closing = True
         stats = await asyncio.to_thread(self._recorder.close)
         _log.info(

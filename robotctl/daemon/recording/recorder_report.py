@@ -93,10 +93,7 @@ class _Row(msgspec.Struct):
 
 
 def topic_rows(topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
-    """Return the JSON list of topics in the status, sorted by name and type.
-
-    A topic that is missing in `rates` has a rate of 0.
-    """
+    """Return the JSON list of topics in the status; a topic that `rates` lacks has the rate 0."""
     rows = [
         _Row(
             each.name,
