@@ -1,8 +1,4 @@
-"""The catalogue of a folder: the indexes of all its recordings in one file, without the samples.
-
-Opening 10,000 small files takes seconds; the catalogue is one file. It stores for each recording a
-stamp of its files (`index_file.stamp_of`), so only changed recordings are indexed again.
-"""
+"""The catalogue of a folder: the indexes of all its recordings in one file, without the samples."""
 
 from __future__ import annotations
 
@@ -46,7 +42,7 @@ Failures = dict[Path, str]
 def index_recordings(
     recordings: Sequence[Path], on_progress: Done = lambda done, total: None
 ) -> Failures:
-    """Index recordings, in one process per CPU; return the reason of each failure by its path."""
+    """Index recordings in one process per CPU, and return the failures."""
     # Imported here: a question about indexed recordings needs neither processes nor the kernel.
     from robotctl.base.pool import local_processes, results_of
     from robotctl.collection.indexing import index_recording
@@ -60,7 +56,7 @@ def index_recordings(
 
 
 MAX_ROWS: Final = 10_000_000
-"""Limit on a file's rows other than samples; a month of one robot has about 100,000."""
+"""Limit on a file's rows other than samples."""
 
 Stamps = dict[str, str]
 """The stamp of each recording (see `stamp_of`), by the recording's name."""
@@ -85,10 +81,9 @@ def stamps_in(path: Path | str) -> Stamps:
 
 
 def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
-    """Return for each index or catalogue the stamps of the recordings in it.
+    """Return the stamps of the recordings in each index or catalogue.
 
-    The result is {} for a file that cannot be read, is a link, does not have the columns of an
-    index, or has more than `MAX_ROWS` rows other than samples.
+    The result is {} for a link, an unreadable file, other columns, or more than MAX_ROWS rows.
 
     Raises:
         UsageError: duckdb is not installed.
@@ -108,13 +103,10 @@ def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
 def _collect(
     connection: DuckDBPyConnection, paths: Sequence[str], found: dict[str, Stamps]
 ) -> None:
-    """Add the stamps in all files to `found` by one query: a query per file takes far longer.
-
-    If the query fails, the list is bisected to skip the unreadable files.
-    """
+    """Add the stamps in all readable files to `found`."""
     import duckdb
 
-    if not paths:
+    if not paths:  # one query for all files: a query per file takes far longer
         return
     try:
         good = _well_formed(connection, paths)
@@ -160,10 +152,10 @@ def _verified_stamps(
 def write_catalogue(
     targets: Iterable[Path], before: str | None, kept: Collection[str], indexes: Sequence[Path]
 ) -> Path:
-    """Write a catalogue to the first of `targets` that can be written, and return its path.
+    """Write a catalogue to the first writable path in `targets`, and return this path.
 
-    The rows come from the files `indexes`, without samples. The rows of the recordings that are
-    named in `kept` come from `before`, the path of an older catalogue or None.
+    The catalogue has the rows of `indexes` without samples, and the rows of the recordings `kept`
+    from the older catalogue `before`.
 
     Raises:
         Refused: None of the targets can be written.
@@ -198,10 +190,10 @@ NOT_ALLOWED: Final = "this user may not read it"
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """A catalogue that is up to date; `indexes` are the paths of its recordings' index files.
+    """A catalogue that is up to date.
 
-    `left_out` has a sentence for each recording that is not in the catalogue, or whose last file is
-    not in it. `failures` are the recordings that cannot be indexed, each with the reason.
+    `indexes` are the paths of its recordings' indexes. `left_out` has a sentence for each recording
+    that is not completely in the catalogue.
     """
 
     path: Path
@@ -216,7 +208,7 @@ def catalogue_of(
 ) -> Iterator[Catalogue]:
     """Index the changed recordings of a folder, and yield the folder's catalogue.
 
-    If the folder cannot be written, the catalogue is a temporary file, removed after the block.
+    The catalogue of a folder that cannot be written exists only during the block.
 
     Raises:
         OSError: The folder cannot be listed.
@@ -263,7 +255,7 @@ def _is_text(path: str) -> bool:
 
 
 def _opened(path: Path, stack: ExitStack) -> str | None:
-    """Open a catalogue; return a path that stays valid if the file is replaced, None on failure."""
+    """Return a path of the catalogue that stays valid if the file is replaced, None on failure."""
     try:
         return None if path.is_symlink() else file_of(stack.enter_context(open_regular(path)))
     except OSError:
@@ -271,11 +263,7 @@ def _opened(path: Path, stack: ExitStack) -> str | None:
 
 
 def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
-    """Return the stamp of each recording directly in a folder, and sentences on those left out.
-
-    If a recording is still being made, its stamp covers only its closed files. The files of a
-    recording whose stamp is in `known` are all closed and need no check. Links are not followed.
-    """
+    """Return the stamp of each recording directly in a folder, and sentences on those left out."""
     stamps: Stamps = {}
     left_out = []
     with os.scandir(folder) as entries:
@@ -289,7 +277,7 @@ def _stamps(folder: Path, known: Stamps) -> tuple[Stamps, list[str]]:
             if not files:
                 continue
             stamps[name] = stamp_of(files)
-            if known.get(name) == stamps[name]:
+            if known.get(name) == stamps[name]:  # so all its files are closed
                 continue
             closed = closed_files(files)
         except PermissionError:

@@ -29,7 +29,7 @@ CONNECT_S: Final = 10.0
 """How long the gate waits for its first connection to the scheduler."""
 
 PATIENCE_S: Final = 60.0
-"""How long the gate waits for a lost scheduler or a first worker; a restart may take this long."""
+"""How long the gate waits for a lost scheduler or a first worker."""
 
 _CHECK_S: Final = 5.0
 """After this time without an answer, the gate checks whether there are still workers."""
@@ -48,7 +48,7 @@ class Cluster:
         connect_s: float = CONNECT_S,
         patience_s: float = PATIENCE_S,
     ) -> None:
-        """Check the scheduler's address, without connecting; `place` is the recordings' folder.
+        """Check the scheduler's address without a connection; `place` is the recordings' folder.
 
         Raises:
             UsageError: The address is not tcp:// or tls://HOST:PORT, or Dask is not installed.
@@ -69,11 +69,10 @@ class Cluster:
         self._patience_s = patience_s
 
     def judge(self, judging: Judging, recordings: Sequence[Path], on_progress: Done) -> Answers:
-        """Yield an answer for each recording; if the scheduler restarts, send lost jobs again.
+        """Yield an answer for each recording, in any order.
 
         Raises:
-            Refused: The scheduler or all workers are absent for too long; or a worker has another
-                version of robotctl, or cannot see the recordings or the stored results.
+            Refused: The scheduler or all workers are absent for too long, or a worker is unfit.
         """
         left = dict.fromkeys(recordings)
         connect_s = self._connect_s
@@ -99,7 +98,7 @@ class Cluster:
         from distributed import Client
 
         with _quiet():
-            self._wait_for_port(connect_s)
+            self._wait_for_port(connect_s)  # a Dask client that cannot connect logs a lot
             try:
                 client = Client(self._address, timeout=connect_s, set_as_default=False)
             except (OSError, ValueError) as error:
@@ -115,7 +114,7 @@ class Cluster:
                 yield client
 
     def _wait_for_port(self, seconds: float) -> None:
-        """Wait until the scheduler's port answers: a Dask client that cannot connect logs a lot."""
+        """Wait until the scheduler's port answers."""
         until = time.monotonic() + seconds
         while True:
             try:
@@ -169,10 +168,7 @@ class Cluster:
 def _answers(
     client: Client, judged: Callable[[Path], Judged], recordings: Sequence[Path]
 ) -> Answers:
-    """Yield each answer; stop early if the scheduler has restarted or no worker is left.
-
-    Dask reconnects to a restarted scheduler, but the jobs that were submitted before are lost.
-    """
+    """Yield answers until all are there, the scheduler has restarted or no worker is left."""
     if not (scheduler := _scheduler(client)):
         return
     executor = client.get_executor(pure=False)
@@ -190,7 +186,7 @@ def _answers(
             try:
                 job = ready.get(timeout=patience_s)
             except Empty:
-                if _scheduler(client) != scheduler:
+                if _scheduler(client) != scheduler:  # Dask reconnects, but its jobs are lost
                     return
                 patience_s = _CHECK_S
                 continue
@@ -248,7 +244,7 @@ def _no_results(worker: str, store: ResultStore) -> Refused:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence Dask's logs and all warnings: the gate handles or reports these errors itself."""
+    """Silence Dask's logs and all warnings within the block."""
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     levels = [logger.level for logger in loggers]
     with warnings.catch_warnings():

@@ -1,7 +1,4 @@
-"""Judges each recording of a folder with this robotctl; can try other kernel parameters, too.
-
-A baseline lists failures that were accepted: by whom, when and why.
-"""
+"""Judges the recordings of a folder with this robotctl, also under other kernel parameters."""
 
 from __future__ import annotations
 
@@ -32,14 +29,14 @@ from robotctl.recording.format.disk import replaced_file
 MAX_BYTES: Final = 64 << 20
 
 FORMAT: Final = 2
-"""The format of a baseline file. A file without this number is older and is refused."""
+"""The format of a baseline file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """An accepted result of the recording `name`, which has the hash `recording`.
+    """A result that the person `by` has accepted.
 
-    The parameters `settings` were tried; `outcome` is the hash over all findings of the check.
+    `recording` and `outcome` are hashes of the recording's files and of the check's findings.
     """
 
     name: str
@@ -78,7 +75,7 @@ class Baseline:
         return self._accepted.get(_key(result.recording, result.settings, result.outcome))
 
     def accept(self, name: str, result: Judgement, *, by: str, why: str, at: str) -> None:
-        """Add an entry: the person `by` accepts a result at the time `at` [ISO 8601]."""
+        """Add an entry for a result that the person `by` accepts at the time `at` [ISO 8601]."""
         recording, settings, outcome = result.recording, result.settings, result.outcome
         says = result.says or "other parameters change modes or answers"
         self._accepted[_key(recording, settings, outcome)] = Accepted(
@@ -130,15 +127,15 @@ def _key(recording: str, settings: Mapping[str, str], outcome: str) -> _Key:
 
 
 CHANGED: Final = "changed"
-"""The first word of `cause_of` if a recording fails only with the other parameters."""
+"""The first word of `cause_of` if a recording fails only with other parameters."""
 
 
 @dataclass(slots=True)
 class GateReport:
-    """The judgements of recordings, by path, in the order in which the recordings were given.
+    """The judgements of recordings by path, in the order of the recordings.
 
-    `lost` has the reason for each recording that got no judgement. `live` recordings are still
-    being written, so they are not judged. `stored` counts the results that came from the store.
+    `lost` has the reason for each recording without a judgement. `live` recordings are still being
+    written. `stored` counts the results from the store.
     """
 
     results: dict[Path, Judgement] = field(default_factory=dict)
@@ -196,7 +193,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return "VERDICT: CAUSE", or "changed: CAUSE" if only a run with other parameters differs."""
+    """Return "VERDICT: CAUSE", or "changed: CAUSE" if only other parameters fail the gate."""
     if result.verdict not in FAILED and result.differs:
         if result.other is not None and result.other["failure"]:
             return f"{CHANGED}: the kernel fails with other parameters"
@@ -219,10 +216,10 @@ def judge_all(
     engine: Engine = judge_here,
     on_progress: Done = lambda done, total: None,
 ) -> GateReport:
-    """Judge recordings, mark the results that `baseline` accepts, and return the report.
+    """Judge recordings, and return the report.
 
-    `settings` are other parameters to try, {} for none. A result that is in the store is not
-    computed again. New results are stored at once: a run after a kill judges only the rest.
+    `settings` are other parameters to try, {} for none. Results in the store are not computed
+    again.
 
     Raises:
         Refused: A result cannot be stored, or the engine is not available.
@@ -247,11 +244,7 @@ def judge_all(
 
 
 def junit_text(report: GateReport) -> str:
-    """Return the report as JUnit XML with a test case per recording.
-
-    A recording that fails the gate is a failure. One that could not be judged is an error. One that
-    is being written is skipped. One whose result was accepted passes; its output names who and why.
-    """
+    """Return the report as JUnit XML with a test case per recording."""
     failures, unknown = report.failures(), report.unknown()
     suite = ElementTree.Element(
         "testsuite",

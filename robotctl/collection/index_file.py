@@ -1,8 +1,6 @@
 """The index of a recording: one Parquet file with rows about its content.
 
-The index has a stamp of the recording's files; when the stamp is outdated, the index is made again.
-Times `..._ns` are since the epoch. None means not known. The column `kind` names the class of a
-row; columns that the class lacks are NULL.
+Times `..._ns` are since the epoch. NULL means unknown, or that the row's `kind` lacks the column.
 """
 
 from __future__ import annotations
@@ -42,9 +40,9 @@ WRITING: Final = "1GB"
 def database(
     files: Sequence[Path | str] = (), memory: str = READING
 ) -> Iterator[DuckDBPyConnection]:
-    """Open a database in memory that can access only `files`, and load no extensions.
+    """Open a database in memory that can access only `files`.
 
-    Queries cannot lift these limits. `memory` is DuckDB's memory limit, such as "120MB".
+    `memory` is DuckDB's memory limit, such as "120MB".
 
     Raises:
         UsageError: duckdb is not installed.
@@ -70,9 +68,9 @@ _CLOSED: Final[Mapping[str, str]] = {
     "autoload_known_extensions": "false",
     "enable_external_access": "false",
     "python_enable_replacements": "false",
-    "lock_configuration": "true",
+    "lock_configuration": "true",  # last: it forbids all further changes
 }
-"""The settings that limit a database; the last one forbids all further changes."""
+"""The settings that limit a database."""
 
 
 def write_parquet(
@@ -137,9 +135,8 @@ def name(value: str) -> str:
 class RecordingRow:
     """A recording: its size, software, totals and verdicts.
 
-    `software` is the digest of the modules that decided and commanded. `parameters` is the JSON of
-    the kernel's first parameters. `check` and `verify` are the verdicts of `replay --check` and
-    `verify`. `check_says` is the first finding of the check.
+    `software` is the digest of the control path's modules, `parameters` the JSON of the kernel's
+    first parameters, and `check_says` the first finding of the check.
     """
 
     kind: ClassVar[str] = "recording"
@@ -166,10 +163,10 @@ class RecordingRow:
 
 @dataclass(frozen=True, slots=True)
 class DriveRow:
-    """A drive, numbered from 1 in its recording, with the errors of its `DriveReport`.
+    """A drive, numbered from 1 in its recording.
 
-    If `wanted_laps` is 0, the drive was to continue until stopped. `ended` is the reason of the
-    end. If the recording ends before the drive does, all fields with a default are None.
+    A drive with 0 `wanted_laps` was to continue until stopped. Fields with a default are None if
+    the recording ends before the drive.
     """
 
     kind: ClassVar[str] = "drive"
@@ -243,7 +240,7 @@ KINDS: tuple[type[Any], ...] = (RecordingRow, DriveRow, EventRow, TopicRow, Samp
 _SQL_TYPES = {"str": "VARCHAR", "int": "BIGINT", "float": "DOUBLE", "bool": "BOOLEAN"}
 
 _SINGLE_PRECISION = ("x_m", "y_m", "theta_rad", "linear_mps", "angular_rps", "error_m")
-"""Columns stored as FLOAT: samples fill most of a file, and 7 digits are enough for a question."""
+"""Columns stored as FLOAT, as samples fill most of a file."""
 
 
 def columns(kind: type[Any]) -> dict[str, str]:
@@ -265,7 +262,7 @@ def all_columns() -> dict[str, str]:
 
 
 LAYOUT: Final = 1
-"""The version of the column layout; an index with another version is made again."""
+"""The version of the column layout."""
 
 
 def index_path(recording: Path) -> Path:
@@ -276,7 +273,7 @@ def index_path(recording: Path) -> Path:
 
 
 def index_path_text(recording: str) -> str:
-    """Return the same path as `index_path`, but as text and 30 times as fast."""
+    """Return the path of `index_path` as text, 30 times as fast."""
     return (
         f"{recording}.{INDEX_FILE}" if recording.endswith(".mcap") else f"{recording}/{INDEX_FILE}"
     )
@@ -309,7 +306,7 @@ def closed_files(files: Iterable[Path | str]) -> list[Path]:
 
 
 def stamp_of(files: Iterable[Path | str]) -> str:
-    """Return a stamp: the index layout's version, and a hash over files' names, sizes and mtimes.
+    """Return a text that changes with the index layout, and with files' names, sizes and mtimes.
 
     Raises:
         OSError: A file does not exist any more.

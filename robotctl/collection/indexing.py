@@ -56,13 +56,13 @@ VELOCITY = "velocity"
 STOPS = (Mode.ERROR, Mode.EMERGENCY_STOP)
 
 _DIGEST = "digest"
-"""In the software record, the key of the hash over the modules that decide and command."""
+"""The key of the digest over all modules in the software record."""
 
 
 def rows_of(
     path: Path, check: str, check_says: str | None, verify: str, files: Sequence[Path] = ()
 ) -> list[IndexRow]:
-    """Return the index rows of a recording; the first row gets `check`, `check_says` and `verify`.
+    """Return the index rows of a recording, with the given verdicts in the first row.
 
     `files` are the files of the folder to read; all are read if it is empty.
 
@@ -273,19 +273,18 @@ class _History:
 
 
 def _rounded(value: float) -> float | None:
-    """Round to 0.1 mm or 0.1 mrad, which makes the file a third smaller; None if not finite."""
+    """Return a value rounded to 0.1 mm or 0.1 mrad, None if not finite."""
     return round(value, 4) if isfinite(value) else None
 
 
 NOT_CHECKED: Final = "not checked"
-"""Both verdicts of a recording that is still being made: it is checked when it is complete."""
+"""Both verdicts of a recording that is still being made."""
 
 
 def index_recording(recording: Path) -> str:
-    """Check, verify and index a recording; return "", or why it could not be indexed.
+    """Check, verify and index a recording; return "", or the reason of a failure.
 
-    If the recording is still being made, only its closed files are indexed, unchecked. Errors are
-    returned as text because the function runs in another process.
+    If the recording is still being made, only its closed files are indexed, unchecked.
     """
     try:
         files = files_of(recording)
@@ -300,12 +299,12 @@ def index_recording(recording: Path) -> str:
             rows = rows_of(recording, report.verdict.value, says[0] if says else None, verify)
         write_index(index_path(recording), recording.name, rows, stamp)
     except (RobotctlError, OSError) as error:
-        return str(error)
+        return str(error)  # as text: this runs in another process
     return ""
 
 
 def index_job(given: dict[str, Any], report: Report) -> None:
-    """Index `given["recording"]`; the daemon runs this in a separate process.
+    """Index `given["recording"]`, as a job of the daemon.
 
     Raises:
         RobotctlError: The recording was not indexed.

@@ -37,7 +37,7 @@ class BeingWritten(UnreadableFile):
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """The content of a recording at one moment: a SHA-256 over its files' names and contents."""
+    """The state of a recording, with a SHA-256 over its files' names and contents."""
 
     digest: str
     _marks: tuple[tuple[int, ...], ...]
@@ -107,14 +107,11 @@ Kind = TypeVar("Kind")
 
 
 class Typed(Generic[Kind]):
-    """Converts parsed JSON to objects of one class. Create it while a module is imported.
-
-    msgspec prepares a class on its first use; two threads that do this at once crash Python.
-    """
+    """Converts parsed JSON to objects of one class. Create it while a module is imported."""
 
     def __init__(self, kind: type[Kind]) -> None:
         self._kind = kind
-        msgspec.json.Decoder(kind)  # prepares it
+        msgspec.json.Decoder(kind)  # prepares it; two threads that do this at once crash Python
 
     def __call__(self, value: Any) -> Kind:
         """Return the value as an object of the class.
@@ -129,14 +126,11 @@ class Typed(Generic[Kind]):
 
 
 Change = dict[str, Any]
-"""What `replay --what-if --json` prints of a recording, without its path."""
+"""The JSON object of `replay --what-if --json` for a recording, without its path."""
 
 
 def totals_of(changes: Iterable[Change]) -> dict[str, Any]:
-    """Return a JSON object with sums and maxima over all drives of many recordings.
-
-    `modes_s` has the times in each mode over the whole recordings, not only their drives.
-    """
+    """Return sums and maxima over all drives, and the times in each mode, as a JSON object."""
     every = list(changes)
     drives = [drive for change in every for drive in change["drives"]]
     modes = dict.fromkeys(mode for change in every for mode in change["modes_s"])
@@ -165,7 +159,7 @@ def totals_of(changes: Iterable[Change]) -> dict[str, Any]:
 
 
 def ends_otherwise(drive: Mapping[str, Any]) -> bool:
-    """Return whether the drive ended in one run only, or in both but not in the same way."""
+    """Return whether the drive ended in one run only, or differently in both."""
     mine, theirs = drive["recorded"], drive["what_if"]
     if mine is None or theirs is None:
         return True
@@ -183,9 +177,9 @@ def outcome_of(
     report: Report | None,
     other: Change | None,
 ) -> str:
-    """Return a SHA-256 over the verdict, the check's findings, the `settings` and what they change.
+    """Return a SHA-256 over the verdict, the check's findings, the `settings` and their changes.
 
-    Equal findings have an equal hash, wherever the recording is and whichever robotctl judges it.
+    The path of the recording and the version of robotctl do not change the hash.
     """
     found = None if report is None else report.divergence
     parts = {
@@ -217,15 +211,14 @@ def _missing(report: Report) -> list[str]:
 VerdictName = Literal["diverged", "broken", "crashed", "incomplete", "unfit", "unreadable", "same"]
 """The verdicts of `replay --check` and three more, the most severe first.
 
-`diverged`: also if another version recorded it, which the check calls `incomplete`. `crashed`:
-robotctl itself fails on it. `unfit`: its parameters conflict with the other parameters to be
-tried. `unreadable`: the check, or the run with the other parameters, cannot read it.
+`crashed`: robotctl fails on the recording. `unfit`: its parameters conflict with those to try.
+`unreadable`: it cannot be read. `diverged` includes divergence under another version's rules.
 """
 
 VERDICTS: Final[tuple[VerdictName, ...]] = VerdictName.__args__  # type: ignore[attr-defined]
 
 FAILED: Final = ("diverged", "broken", "crashed")
-"""The verdicts that fail the gate; a change of modes or answers fails it, too (see `Change`)."""
+"""The verdicts that fail the gate, as does a change of modes or answers."""
 
 UNKNOWN: Final = ("incomplete", "unfit", "unreadable")
 
@@ -236,11 +229,9 @@ _NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 class Judgement:
     """The result of the gate for one recording.
 
-    - `recording`: the SHA-256 of its files. `software`: the SHA-256 of robotctl.
-    - `says`: the first finding as a sentence, "" if nothing is wrong.
-    - `cause`: the sentence `says` without its numbers.
-    - `outcome`: the SHA-256 over all findings.
-    - `other`: the changes that other parameters cause, None if none were given.
+    `recording`, `software` and `outcome` are SHA-256 hashes of its files, robotctl and all
+    findings. `says` is the first finding, "" if nothing is wrong, and `cause` the same without
+    numbers. `other` has the changes by other parameters.
     """
 
     recording: str
@@ -254,7 +245,7 @@ class Judgement:
 
     @property
     def key(self) -> str:
-        """The key of this judgement in a `ResultStore`; see `key_of`."""
+        """The key of this judgement in a `ResultStore`."""
         return key_of(self.recording, self.settings)
 
     @property
@@ -269,7 +260,7 @@ class Judgement:
 
 
 def judge(path: Path, settings: Mapping[str, str], content: Content | None = None) -> Judgement:
-    """Judge a recording: repeat its decisions, and repeat them with `settings` if there are any.
+    """Judge a recording with its own parameters and, if there are any, with `settings`.
 
     `content` is the recording's content if the caller has read it already.
 
@@ -316,7 +307,7 @@ def crashed(content: Content, settings: Mapping[str, str], error: Exception) -> 
 
 
 def key_of(recording: str, settings: Mapping[str, str]) -> str:
-    """Return a result's key: a SHA-256 over `recording` (its hash), the software and `settings`."""
+    """Return the key of a result; `recording` is the recording's hash."""
     parts = [recording, software_hash(), *(f"{key}={settings[key]}" for key in sorted(settings))]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
@@ -324,7 +315,7 @@ def key_of(recording: str, settings: Mapping[str, str]) -> str:
 def _checked(
     path: Path, settings: Mapping[str, str]
 ) -> tuple[Report | None, VerdictName, str, Change | None]:
-    """Return the check's report, verdict and first finding, and what `settings` change."""
+    """Return the check's report, verdict and first finding, and the changes by `settings`."""
     try:
         report = check_recording(path)
     except UnreadableFile as error:

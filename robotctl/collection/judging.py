@@ -1,7 +1,4 @@
-"""The job of the gate for one recording: judge it, unless its result is stored.
-
-A job may run in another process, or on another machine.
-"""
+"""The job of the gate for one recording: judge it, unless its result is stored."""
 
 from __future__ import annotations
 
@@ -46,10 +43,7 @@ _sealed_result, _judgement = Typed(_Sealed), Typed(Judgement)
 
 
 class ResultStore:
-    """Stores judgements in a folder, which several gates may use at once.
-
-    A store can be pickled and sent to another machine, which then uses the same folder.
-    """
+    """Stores judgements in a folder, which several gates may use at once."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder).absolute()
@@ -77,7 +71,7 @@ class ResultStore:
         return result if result.key == key else None
 
     def put(self, result: Judgement) -> Judgement:
-        """Store a result, unless its key is in the store already; return the result that is stored.
+        """Store a result unless its key is stored already; return the stored result.
 
         Raises:
             Refused: The store cannot be read or written.
@@ -88,7 +82,7 @@ class ResultStore:
         return result
 
     def put_token(self) -> str:
-        """Create a token, a file that only workers with the same folder see, and return its name.
+        """Create a file by which workers recognize the same folder, and return its name.
 
         Raises:
             Refused: The store cannot be written.
@@ -150,10 +144,7 @@ def _name(key: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """The answer of a job: a judgement, or else the `problem` that prevented it.
-
-    If `was_stored`, the judgement is from the store. A `live` recording is still being written.
-    """
+    """A job's judgement, or its `problem`; a `live` recording is still being written."""
 
     judgement: Judgement | None
     was_stored: bool = False
@@ -168,17 +159,15 @@ class Judging:
     settings: dict[str, str]
     store: ResultStore
     software: str
-    """The hash of the gate's robotctl; a process with a different robotctl refuses the job."""
+    """The hash of the gate's robotctl, which each process must have."""
 
     def judged(self, path: Path) -> Judged:
-        """Return the stored result; if there is none, judge the recording and store the result.
+        """Return the stored result, or judge the recording and store the result.
 
-        If robotctl itself fails, the verdict is `crashed`. This result is not stored, because the
-        software installed on this machine may be the cause.
+        A result with the verdict `crashed` is not stored.
 
         Raises:
-            Refused: This process runs a different robotctl than the gate, or the store cannot be
-                read or written.
+            Refused: This process has another robotctl, or the store cannot be read or written.
         """
         if software_hash() != self.software:
             raise Refused(
@@ -196,7 +185,7 @@ class Judging:
             except RobotctlError as error:  # what is installed here cannot read it
                 return Judged(None, problem=f"{platform.node()}: {error}")
             except Exception as error:  # noqa: BLE001 - a bug of the kernel may raise anything
-                content.check(path)
+                content.check(path)  # not stored: what is installed here may be the cause
                 return Judged(crashed(content, self.settings, error))
         except (OSError, UnreadableFile, MemoryError) as error:
             return _unread(error)
@@ -231,7 +220,7 @@ def judge_here(
     on_progress: Done,
     processes: Processes = local_processes,
 ) -> Answers:
-    """Yield each recording with its answer: the stored result, or that of a local process."""
+    """Yield each recording with its stored result or the answer of a local process."""
     new: list[Path] = []
     done = 0
     for path, known in results_of(judging.stored, recordings, local_threads):

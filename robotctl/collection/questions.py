@@ -1,8 +1,7 @@
 """Answers questions over the catalogue of a folder: a condition over rows, or SQL.
 
-An example of a condition is `laps >= 1 and max_error_m > 0.1`. The syntax is Python's: names of
-columns, numbers, texts, True, False and None, `+ - * /`, `< <= == != >= >`, `and or not` and
-parentheses. A condition is translated to SQL with parameters; Python never evaluates it.
+A condition such as `laps >= 1 and max_error_m > 0.1` has Python's syntax, but only comparisons,
+arithmetic, `and`, `or` and `not`. It is translated to SQL, never evaluated.
 """
 
 from __future__ import annotations
@@ -151,7 +150,7 @@ TABLES: Final[dict[str, type[Any]]] = {
 """The tables of a catalogue, each with its class of rows."""
 
 SAMPLES: Final = "samples"
-"""The table that is read from the indexes, since a catalogue has no samples."""
+"""The table that is read from the indexes of the recordings."""
 
 _QUESTION: Final = "robotctl_question"
 """The name of the temporary view that checks a user's query."""
@@ -179,8 +178,8 @@ def find(
 ) -> Answer:
     """Return the rows of a table that meet `condition`; all rows if `condition` is "".
 
-    `sort` is a column; a "-" before its name means descending order. If `sort` is "", rows are
-    sorted by `start_ns`, or by `recording` if the table lacks it. A `limit` of 0 means no limit.
+    `sort` is a column, with a "-" before it for descending order; "" sorts by `start_ns`, or by
+    `recording` if the table lacks that. A `limit` of 0 means no limit.
 
     Raises:
         UsageError: The condition or the column is wrong.
@@ -211,7 +210,7 @@ def ask(catalogue: Catalogue, sql: str) -> Answer:
 
 
 def _run(catalogue: Catalogue, sql: str, values: Sequence[Any] | None) -> Answer:
-    """Run a query; if `values` is None, it comes from a user and is checked first."""
+    """Run a query, after a check if `values` is None."""
     indexes = _present(catalogue.indexes) if SAMPLES in sql.lower() else []
     with database([catalogue.path, *indexes]) as connection:
         import duckdb
@@ -256,8 +255,6 @@ def _make_tables(
 def _check_reads_only(connection: DuckDBPyConnection, sql: str) -> None:
     """Refuse a query that could write into the files that the database may read.
 
-    A SELECT statement may still write, in its WITH clause; a view must not contain such a clause.
-
     Raises:
         UsageError: The query is not exactly one SELECT statement.
         duckdb.Error: The query is wrong, or writes.
@@ -267,4 +264,5 @@ def _check_reads_only(connection: DuckDBPyConnection, sql: str) -> None:
     statements = connection.extract_statements(sql)
     if [each.type for each in statements] != [duckdb.StatementType.SELECT]:
         raise UsageError("the question cannot be answered: it is not one SELECT statement")
+    # A SELECT may write in its WITH clause; a view must not contain such a clause.
     connection.execute(f"CREATE TEMP VIEW {_QUESTION} AS {sql}")

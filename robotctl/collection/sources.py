@@ -1,7 +1,4 @@
-"""What `sync` copies: the recordings of a folder, or those below a URL.
-
-Recordings of other recorders are copied, too, but never removed. Files not copied are reported.
-"""
+"""The recordings that `sync` copies, in a folder or below a URL."""
 
 from __future__ import annotations
 
@@ -31,13 +28,13 @@ from robotctl.recording.keep.listing import CLIPS_FOLDER, is_own
 SUFFIX: Final = ".mcap"
 
 REPLACED: Final = (METADATA_FILE, INDEX_FILE)
-"""Files that are generated from the data; a newer one replaces an older copy."""
+"""Generated files, of which a newer one replaces an older copy."""
 
 YOUNG_NS: Final = 60 * NS_PER_S
-"""Other recorders lock no file: a file without an end is finished if unchanged for this time."""
+"""Time without a change after which an unlocked file without an end is finished."""
 
 OF_THE_SYSTEM: Final = "lost+found"
-"""A folder at the top of many disks that only root can read; it is no recording."""
+"""A folder at the top of many disks that only root can read."""
 
 PIECE_BYTES: Final = 1 << 18
 STORED_PIECE_BYTES: Final = 8 << 20
@@ -51,10 +48,7 @@ _DEPTH: Final = 3
 """The number of parts of the longest key, RECORDING/clips/FILE."""
 
 Pace = Callable[[int], None]
-"""Called with a number of bytes before they are sent or read back, and with 0 between local reads.
-
-It sleeps as long as a rate limit demands, or while the robot must not be disturbed.
-"""
+"""Called with the number of bytes to send or read back next, 0 between local reads; may sleep."""
 
 
 class FileChanged(UnreadableFile):
@@ -124,11 +118,11 @@ class StoredFile:
 
     @property
     def modified_ns(self) -> int:
-        """The time of writing [ns since the epoch]; for a listed object, the time of storing."""
+        """The time of writing [ns since the epoch], of storing for a listed object."""
         return self.found.modified_ns
 
     def with_stamp(self) -> StoredFile:
-        """Return a copy with the object's hash and mtime from the store; an unknown hash is "".
+        """Return a copy with the hash and mtime from the store, "" for an unknown hash.
 
         Raises:
             StoreError: The store fails, or the object does not exist any more.
@@ -199,10 +193,9 @@ def open_regular_file(path: Path) -> Iterator[FileIO]:
 
 
 def stored_recordings(place: str) -> list[OfferedRecording]:
-    """Return the recordings in a store; `place` is its URL or folder.
+    """Return the recordings at `place`, a URL or folder of one or many recordings, or an MCAP file.
 
-    At `place` are many recordings, one recording, or one MCAP file. If the store has several
-    copies of a file (RECORDING/SHA256/FILE), only the newest one is returned.
+    Of several copies of a file, only the newest is returned.
 
     Raises:
         StoreError: The store cannot be listed, or the MCAP file does not exist.
@@ -240,8 +233,7 @@ def _is_copied(key: str) -> bool:
 def local_recordings(place: Path, now_ns: int) -> list[OfferedRecording]:
     """Return the recordings in the folder `place`, sorted; or `place` itself if it is a recording.
 
-    A single file is a recording named like the file without `.mcap`. Links are not followed.
-    `now_ns` (since the epoch) shows which files are too young to be finished.
+    Links are not followed. `now_ns` is since the epoch.
 
     Raises:
         OSError: The folder cannot be listed.
@@ -271,7 +263,7 @@ def _recording(path: Path, now_ns: int) -> OfferedRecording:
 
 
 def _link(recording: OfferedRecording, path: Path) -> None:
-    """Report a link to recordings outside the link's folder; those inside are copied anyway."""
+    """Report a link to recordings outside the link's folder."""
     target = path.resolve()
     if target.is_relative_to(path.parent.resolve()):
         return
@@ -304,7 +296,7 @@ def _data_in(folder: Path) -> Iterator[Path]:
 
 
 def _add_data(recording: OfferedRecording, path: Path, key: str, now_ns: int) -> None:
-    """Add a file; mark the recording `live` if it is being written; report it if unusable."""
+    """Add a file, or mark the recording `live` or report the file."""
     if path.is_symlink():
         _leave_out(recording, path.name, "it is a link")
     elif not _PLAIN.fullmatch(path.name):
@@ -323,7 +315,7 @@ def _add_data(recording: OfferedRecording, path: Path, key: str, now_ns: int) ->
 
 
 def _is_live(path: Path, file: FileIO, status: os.stat_result, now_ns: int) -> bool:
-    """Return whether a file is locked, or an unfinished file of another recorder (see YOUNG_NS)."""
+    """Return whether a file is locked, or an unfinished file of another recorder."""
     try:
         if is_locked(file.fileno()):
             return True

@@ -1,7 +1,7 @@
 """Copies recordings between folders and buckets; removes local files whose copies were read back.
 
-A copy has the layout of the recording: RECORDING/FILE. A file counts as copied if the store has an
-object of its name and size. Copies in the earlier layout RECORDING/SHA256/FILE count as well.
+A copy has the path RECORDING/FILE, an older copy RECORDING/SHA256/FILE. A file counts as copied if
+the store has an object of its name and size.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from robotctl.recording.keep.retention import (
 )
 
 GIVE_UP_AFTER: Final = 3
-"""If the store fails for this number of recordings in a row, the run ends."""
+"""Number of recordings in a row for which the store may fail until the run ends."""
 
 Stored = dict[str, list[StoredObject]]
-"""The objects of a store by their paths in a copy; only the earlier layout has several per path."""
+"""The objects of a store by their paths in a copy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +92,10 @@ def copy_recordings(
     on_progress: Callable[[int, int], None] = lambda done, total: None,
     dry_run: bool = False,
 ) -> Synced:
-    """Copy the files that the store lacks.
+    """Copy the files that the store lacks; each failure adds a sentence to the result.
 
-    `on_progress` gets the number of bytes handled so far, and the total. Each failure adds a
-    sentence to `problems` or `wrong`. The run ends if GIVE_UP_AFTER recordings in a row fail.
+    `on_progress` gets the number of bytes handled so far, and the total. The run ends if the store
+    fails for GIVE_UP_AFTER recordings in a row.
 
     Raises:
         StoreError: The store cannot be listed.
@@ -179,7 +179,7 @@ class _Copy:
                 self._send(file)
 
     def _more_is_there(self) -> bool:
-        """Return whether the store has data files that are gone here: its metadata must stay."""
+        """Return whether the store has data files of the recording that are gone here."""
         here = {file.key for file in self._recording.files}
         return any(
             recording_of(key) == self._recording.name and key.endswith(SUFFIX) and key not in here
@@ -231,11 +231,9 @@ def _is_replaced(key: str) -> bool:
 
 
 def _has_as_new(there: Sequence[StoredObject], here: LocalFile | StoredFile) -> bool:
-    """Return whether one of the objects has the size of the file, and is not older than the file.
-
-    A store's listing has the time of storing; only `with_stamp` returns the time of writing.
-    """
+    """Return whether one of the objects has the size of the file and is not older."""
     same = [each for each in there if each.size_bytes == here.size_bytes]
+    # A store's listing has the time of storing; only `with_stamp` returns the time of writing.
     if isinstance(here, StoredFile) and any(each.modified_ns < here.modified_ns for each in same):
         here = here.with_stamp()
     return any(each.modified_ns >= here.modified_ns for each in same)
@@ -259,8 +257,8 @@ def prune(
 ) -> Pruned:
     """Remove the files in the folder `recordings` that exceed `policy`, the oldest first.
 
-    A file is removed only if the name of its recording is in `complete`, and the store, read now,
-    returns exactly the bytes of the file. `now_s` is in seconds since the epoch.
+    A file is removed only if its recording is in `complete`, and the store returns exactly the
+    bytes of the file. `now_s` is in seconds since the epoch.
 
     Raises:
         OSError: The folder cannot be listed.
