@@ -40,15 +40,14 @@ _MODES: Final = {ESTOP.id: EMERGENCY_STOP_MODE, STOP.id: IDLE_MODE}
 _STAND: Final = (0.0, 0.0)
 
 LET_GO_S: Final = 1.0
-"""After a motion was refused or ended, the operator must send nothing for this time [s] before a
-new motion. Delays of a slow network are shorter, and do not count as letting go."""
+"""How long the operator must send nothing between a refused or ended motion and a new one."""
 
+# With one call for the velocity they fill the five threads of the loop's pool on one core.
 MAX_CALLS: Final = {ESTOP.id: 3, STOP.id: 1}
-"""Limit on the unanswered calls of each service. With one call for the velocity they fill the five
-threads that the loop's pool has on one core: no call has to wait for a thread."""
+"""Limit on the unanswered calls of each service, so that no call waits for a thread."""
 
 CALL_S: Final = 1.0
-"""Timeout for the daemon's answer to a velocity; a robot without commands stops long before."""
+"""Timeout for the daemon's answer to a velocity."""
 
 
 class RemoteControl:
@@ -106,7 +105,7 @@ class RemoteControl:
             raise WrongRequest(f"this view takes {TWIST} in JSON, and moves the robot by it")
 
     def _take_velocity(self, viewer: Viewer, message: ClientMessage) -> None:
-        """Note the velocity that a viewer wants; `_drive` sends the newest one.
+        """Note the newest velocity that a viewer wants.
 
         Raises:
             WrongRequest: Another viewer drives, or the message is no velocity.

@@ -40,7 +40,7 @@ DEFAULT_PORT: Final = 8765
 
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens on `port`; None stands for DEFAULT_PORT or else any free port.
+    """Return a socket that listens on `port`, on DEFAULT_PORT or else any free port if None.
 
     Raises:
         Refused: The host has no address, or the socket cannot listen on it.
@@ -84,19 +84,19 @@ MAX_SUBSCRIPTIONS: Final = 10_000
 
 
 MAX_VIEWERS: Final = 128
-"""Limit on viewers; the connection of a further viewer is closed with the code TRY_LATER."""
+"""Limit on viewers; a further viewer is refused with the code TRY_LATER."""
 
 MAX_CONNECTIONS: Final = 2 * MAX_VIEWERS
-"""Limit on connections; further ones are closed at once, without reading from them."""
+"""Limit on connections; further ones are closed at once."""
 
 MAX_OFFERS: Final = 1_000
-"""Limit on the channels that a viewer offers; Foxglove offers one for each panel that publishes."""
+"""Limit on the channels that a viewer offers."""
 
 HANDSHAKE_S: Final = 5.0
 """How long a handshake may take [s]."""
 
 STALL_S: Final = 30.0
-"""A viewer whose socket accepts no data for this time [s] is disconnected; it may reconnect."""
+"""A viewer whose socket accepts no data for this time [s] is disconnected."""
 
 PERIOD_S: Final = 1.0
 """The period [s] of the checks for stalled viewers, late handshakes and dropped messages."""
@@ -107,7 +107,7 @@ _MESSAGE_HEAD_BYTES: Final = len(message_head(0, 0))
 class ViewServer:
     """Offers channels, and sends their messages to the viewers that subscribe.
 
-    Everything happens in the loop's thread. The attributes `on_...` may be set before `listen`.
+    Use it in the loop's thread. The attributes `on_...` may be set before `listen`.
     """
 
     def __init__(
@@ -284,8 +284,7 @@ class ViewServer:
         """Begin a subscription, unless the channel is not offered any more.
 
         Raises:
-            WrongRequest: The viewer already uses the subscription id, already watches the channel,
-                or already has MAX_SUBSCRIPTIONS subscriptions.
+            WrongRequest: The id is in use, the viewer watches the channel already, or has too many.
         """
         if channel_id not in self._channels:
             return
@@ -317,7 +316,7 @@ class ViewServer:
 
 
 def _tell_dropped(viewer: Viewer) -> None:
-    """Send a viewer its count of dropped messages, if that changed and no offer or note waits."""
+    """Send a viewer its count of dropped messages if that changed, unless offers or notes wait."""
     dropped = viewer.outbox.dropped
     if dropped != viewer.told_dropped and not viewer.outbox.waits_for_control:
         viewer.told_dropped = dropped

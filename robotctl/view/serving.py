@@ -26,14 +26,11 @@ from robotctl.view.viewer import Admission, new_token
 _OUT_OF_DESCRIPTORS: Final = frozenset({errno.EMFILE, errno.ENFILE})
 
 SAID_AGAIN_S: Final = 60.0
-"""The least time between lines about a lack of descriptors; asyncio reports one each second."""
+"""The least time between lines about a lack of descriptors."""
 
 
 def loop_failures() -> Callable[[asyncio.AbstractEventLoop, dict[str, Any]], None]:
-    """Return an exception handler for the loop, which prints a line if no descriptor is free.
-
-    Until a descriptor is free, new viewers have to wait. Any other failure is left to asyncio.
-    """
+    """Return the loop's exception handler, which reports a lack of descriptors on stderr."""
     said_s = -SAID_AGAIN_S
 
     def handle(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
@@ -56,17 +53,19 @@ def loop_failures() -> Callable[[asyncio.AbstractEventLoop, dict[str, Any]], Non
 Report = Callable[[dict[str, Any]], None]
 
 NICENESS: Final = 5
-"""On a busy computer the robot's processes have priority over the view."""
+"""The view's niceness, below the priority of the robot's processes."""
 
 _STDIN: Final = 0
 _WILDCARDS: Final = ("0.0.0.0", "::")
 
 
 async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
-    """Serve a view until a signal, the daemon's end or closed stdin; `at_end` closes ROS later.
+    """Serve a view until a signal, the daemon's end or closed stdin.
+
+    The caller closes `at_end` afterwards to leave the ROS domain.
 
     Raises:
-        RobotctlError: The view cannot be served; the text says why.
+        RobotctlError: The view cannot be served.
     """
     loop, target, token, ended = asyncio.get_running_loop(), job.live, new_token(), end_signals()
     loop.set_exception_handler(loop_failures())
@@ -119,7 +118,7 @@ def _controlled_server(job: ViewJob, admission: Admission) -> ViewServer:
 
 
 def _address(host: str, port: int, token: str) -> dict[str, Any]:
-    """Return the report `ready`: the `url`, the port, and `open`, a URL for the desktop program."""
+    """Return the report `ready`, with a URL `open` for the desktop program."""
     host = socket.gethostname() if host in _WILDCARDS else host
     host = f"[{host}]" if ":" in host else host
     url = f"ws://{host}:{port}/?token={token}"
@@ -169,7 +168,7 @@ class LiveView:
     # From the server
 
     def _subscribed(self, channel_id: int) -> None:
-        """Subscribe to the topic, anew for each viewer, so that each gets the latched messages."""
+        """Subscribe to the topic anew, so that each viewer gets the latched messages."""
         self._tap.want(self._topics[channel_id], partial(self._forward, channel_id))
 
     def _unwatched(self, channel_id: int) -> None:

@@ -1,9 +1,4 @@
-"""One connection: who may connect, its handshake, its requests, and its bounded send queue.
-
-Any web page can open a WebSocket to this machine, also under a foreign host name (DNS rebinding).
-So the Host must be an IP address or a name of this computer, the Origin must be known, and the URL
-must have the token of this run, which keeps out other users of the machine, too.
-"""
+"""One connection: who may connect, its handshake, its requests, and its bounded send queue."""
 
 from __future__ import annotations
 
@@ -53,6 +48,10 @@ def new_token() -> str:
     return secrets.token_urlsafe(_TOKEN_BYTES)
 
 
+# Any web page can open a WebSocket to this machine, also under a foreign host name (DNS rebinding).
+# The token keeps out other users of the machine, too.
+
+
 class Admission:
     """Checks the first request of a connection."""
 
@@ -68,7 +67,7 @@ class Admission:
     def refusal(self, target: str, hosts: Sequence[str], origins: Sequence[str]) -> str:
         """Return the reason for which a request is refused, or "" if it is admitted.
 
-        `target` is the path with the query; `hosts` and `origins` are all Host and Origin headers.
+        `target` is the path with the query. `hosts` and `origins` are the values of these headers.
         """
         if len(hosts) != 1 or not self._is_own_host(hosts[0]):
             return "the Host header names no address of this computer"
@@ -95,21 +94,19 @@ class Admission:
 
 
 LARGE_BYTES: Final = 1 << 16
-"""Larger messages, such as images, have a separate queue: they never displace small ones."""
+"""Larger messages have a separate queue, so that they never displace small ones."""
 
 MAX_MESSAGES: Final = 1024
-"""Limit on the messages in each of the two queues, for small and for large ones."""
+"""Limit on the messages in each of the two queues."""
 
 MAX_BYTES: Final = 256 << 10
-"""Limit on the bytes in each of the two queues, so that 100 stalled viewers need 50 MB; viewers of
-the same topics share the bytes. A message larger than this may wait if no other one does."""
+"""Limit on the bytes in each of the two queues. A larger message may wait alone."""
 
 MAX_CONTROL_BYTES: Final = 16 << 20
-"""Limit on the bytes of waiting offers, notes and answers, which are never dropped. A larger offer
-may wait if nothing else does: one of 5,000 topics of nav_msgs/msg/Odometry has 19 MB."""
+"""Limit on the bytes of waiting offers, notes and answers. A larger offer may wait alone."""
 
 PIECE_BYTES: Final = 1 << 16
-"""How many bytes the transport gets at once: it copies those that the socket does not accept."""
+"""Bytes that the transport gets at once, as it copies those that the socket does not accept."""
 
 TEXT: Final = 0x81
 BINARY: Final = 0x82
@@ -138,7 +135,7 @@ class Outbox:
         self._messages = _Lane()
         self._large = _Lane()
         self._begun: memoryview = memoryview(b"")
-        """The rest of a frame that is partly sent: no other frame may be sent before it."""
+        """The rest of a frame that is partly sent."""
 
     def __bool__(self) -> bool:
         """Return whether anything waits."""
@@ -170,7 +167,7 @@ class Outbox:
         (self._large if len(data) > LARGE_BYTES else self._messages).put(head, data)
 
     def take(self) -> bytes:
-        """Remove and return the next bytes to send, about PIECE_BYTES at most; b"" if none wait."""
+        """Remove and return the next bytes to send, b"" if none wait."""
         if not self._begun and self._control:
             frame = self._control.popleft()
             self._control_bytes -= len(frame)
@@ -222,10 +219,10 @@ class _Lane:
 
 
 MAX_REQUEST_BYTES: Final = 1 << 20
-"""Limit on a message of a client; a subscription to 10,000 channels has 400 kB."""
+"""Limit on a message of a client."""
 
 SOCKET_BYTES: Final = 128 << 10
-"""The socket's send buffer for a viewer; Linux doubles it, and would use megabytes by default."""
+"""The socket's send buffer for a viewer."""
 
 TRY_LATER: Final = 1013
 """The close code for a viewer beyond MAX_VIEWERS (IANA's registry for RFC 6455)."""
@@ -282,7 +279,7 @@ class Viewer(asyncio.Protocol):
         )
         self._kind = Opcode.TEXT
         self._message = bytearray()
-        """The received fragments of a message; empty fragments use no memory, however many."""
+        """The received fragments of a message."""
 
         self.is_stalled = False
         """Whether the socket is full, and accepts no data now."""
@@ -312,8 +309,9 @@ class Viewer(asyncio.Protocol):
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
-        """Schedule `flush`: a transport that is closed within this call would be ended twice."""
+        """Schedule `flush`."""
         self.is_stalled = False
+        # Not at once: a transport that is closed within this call would be ended twice.
         asyncio.get_running_loop().call_soon(self.flush)
 
     def data_received(self, data: bytes) -> None:
@@ -329,7 +327,7 @@ class Viewer(asyncio.Protocol):
     # From the server
 
     def tell(self, message: str | bytes) -> None:
-        """Send an offer, a note or an answer. None is dropped: if too many wait, disconnect."""
+        """Send an offer, a note or an answer; disconnect if too many wait."""
         kind, data = (TEXT, message.encode()) if isinstance(message, str) else (BINARY, message)
         try:
             self.outbox.put_control(frame_head(kind, len(data)) + data)
