@@ -130,10 +130,8 @@ def ground_figure(title: str, lines: Iterable[Line]) -> Figure:
 
 
 def path_figure(reference: Path2D, driven: Path2D, title: str = "") -> Figure:
-    """Return the figure of a driven path over the reference path, without infinite points or NaN.
-
-    Both paths have an entry in the legend.
-    """
+    """Return the figure of a driven path over the reference path, without points that are not
+    finite."""
     lines = [
         Line([points] if points else [], kind, name)
         for points, kind, name in (
@@ -164,7 +162,7 @@ class Label:
 
 
 def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
-    """Yield the strokes and labels: grid and numbers, then lines. Without lines, yield nothing."""
+    """Yield grid, numbers and lines of a figure; yield nothing without lines."""
     if not figure.lines:
         return
     x, y = figure.axes(frame)
@@ -204,7 +202,7 @@ def _finite(path: Path2D) -> list[Point]:
 
 
 def _least_span(low: float, high: float) -> float:
-    """Return the least span of an axis for these values, so that rounding errors are invisible."""
+    """Return the least span of an axis for these values, to hide rounding errors."""
     if low == high:
         return max(abs(high), SMALLEST_SPAN) if high else 1.0
     return max(RELATIVE_SPAN * max(abs(low), abs(high)), SMALLEST_SPAN)

@@ -31,7 +31,7 @@ from robotctl.show.traces import (
 
 MAX_ROWS: Final = 300
 MAX_TABLE_CHARACTERS: Final = 75_000
-"""The limits of a table; a recording may hold any number of topics and parameters."""
+"""The limits of a table."""
 
 MAX_NAMES: Final = 100
 
@@ -39,7 +39,7 @@ RATE_WIDTH, RATE_HEIGHT = 120, 18
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[Content]]) -> Markup:
-    """Return a table of `rows`; a note below says how many rows are left out of a large table."""
+    """Return a table of `rows`, with a note on the number of rows left out."""
     body: list[Markup] = []
     characters = 0
     for row in rows[:MAX_ROWS]:
@@ -74,7 +74,7 @@ def drives_table(drives: Sequence[EndedDrive]) -> Markup:
 
 
 def moments_table(moments: Sequence[TracedMoment]) -> Markup:
-    """Return the table of moments: when, kind, what; each row links to that time in the plots."""
+    """Return the table of moments, with links to their times in the plots."""
     rows = [
         (
             tag("span", str(number), class_="number"),
@@ -185,7 +185,7 @@ def _number(value: float, unit: str) -> str:
 
 
 class Tone(StrEnum):
-    """The meaning of a verdict for the recording, which sets the colour of the verdict."""
+    """The meaning of a verdict for the recording."""
 
     GOOD = "good"
     UNSURE = "unsure"
@@ -238,7 +238,7 @@ def report_page(recorded: Recorded, judged: ReportFindings) -> str:
 
 
 def _document(title: str, body: Markup, data: dict[str, object]) -> str:
-    """Return a whole page; its Content-Security-Policy allows only its own script and style."""
+    """Return a whole page, whose policy allows only its own script and style."""
     style, script = (_FOLDER.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
     policy = (
         f"default-src 'none'; style-src '{_digest(style)}'; script-src '{_digest(script)}'; "

@@ -32,7 +32,7 @@ CHARACTER_PX: Final = 7.2
 """The approximate width of a character in a plot."""
 
 NUMBER_PX: Final = 15.0
-"""The least distance between the numbers of two moments; a number without this room is left out."""
+"""The least distance between the numbers of two moments."""
 
 LEAST_SPEED, LEAST_ERROR_M = 0.05, 0.01
 LEAST_BATTERY_PERCENT, LEAST_LATE_MS = 2.0, 2.0
@@ -206,7 +206,7 @@ def _marks(
 
 
 def _mode_band(traces: Traces) -> Markup:
-    """Return a band of the modes over time; above it, each moment has a mark with its number."""
+    """Return a band of the modes over time, below the marks of the moments."""
     frame = BAND_FRAME
     figure = time_figure("Mode, and what happened", (), traces.duration_s)
     time, _ = figure.axes(frame)

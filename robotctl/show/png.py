@@ -20,7 +20,7 @@ PATH_FRAME: Final = Frame(500, 500 - TITLE_HEIGHT, 50, 450, 28, 428)
 PATH_FINE: Final = 1.6
 
 SMOOTH: Final = 2
-"""A figure is drawn this many times larger than in the file; shrinking smooths its lines."""
+"""A figure is drawn this many times larger than in the file, to smooth its lines."""
 
 LEGEND_PX: Final = 80
 
@@ -35,7 +35,7 @@ STYLES: Final = {
 
 
 def write_path_png(file: Path, figure: Figure) -> None:
-    """Write a figure on the ground to a file; an existing file is replaced (see `replaced_file`).
+    """Write a figure on the ground to a file, or replace the file.
 
     Raises:
         OSError: The file cannot be written.
@@ -50,10 +50,7 @@ def write_png(
     frame: Frame = TIME_FRAME,
     fine: float = TIME_FINE,
 ) -> None:
-    """Write the figures into one PNG, one below the other, each with its title above.
-
-    `frame` has the size of each figure; `fine` is the number of PNG pixels per pixel of the frame.
-    """
+    """Write the figures into one PNG; `fine` is the number of its pixels per pixel of `frame`."""
     from PIL import Image, ImageDraw
 
     step = frame.height + TITLE_HEIGHT

@@ -20,13 +20,13 @@ from robotctl.recording.table import recorded_definition
 from robotctl.show.figure import Figure, Line, time_figure
 
 COLUMNS: Final = 600
-"""Columns of a plot; the eye cannot distinguish several values in one column."""
+"""Columns of a plot."""
 
 GAP: Final = 10.0
 """A pause longer than this many times the median gap between columns breaks the line."""
 
 MAX_VALUE: Final = 1e15
-"""Larger values are no measurement; they are left out and counted in `Series.odd`."""
+"""Larger values are left out."""
 
 Sample = tuple[float, float]
 """A time [s] and a value."""
@@ -44,10 +44,7 @@ class SeriesColumn(NamedTuple):
 
 
 class Series:
-    """Values over time, from 0 to `duration_s`; `add` merges them into the COLUMNS of a plot.
-
-    `count` counts the merged values; `odd` counts others, which are not finite or above MAX_VALUE.
-    """
+    """Values over time in the COLUMNS of a plot; `odd` counts the values that are left out."""
 
     def __init__(self, duration_s: float) -> None:
         self.count = 0
@@ -56,7 +53,7 @@ class Series:
         self._columns: dict[int, SeriesColumn] = {}
 
     def add(self, t_s: float, value: float) -> None:
-        """Add the `value` at the time `t_s` [s]; call this in the order of time."""
+        """Add the `value` at the time `t_s` [s], in the order of time."""
         if not (isfinite(value) and abs(value) <= MAX_VALUE):
             self.odd += 1
             return
@@ -85,7 +82,7 @@ class Series:
         return max((column.most for column in self._columns.values()), default=None)
 
     def lines(self) -> Iterator[list[Sample]]:
-        """Yield the points of each unbroken line; a long pause (see GAP) begins another line."""
+        """Yield the points of each unbroken line."""
         columns = self.columns
         if not columns:
             return
@@ -162,7 +159,7 @@ class ThinnedPath:
 
 
 MAX_LISTS: Final = 24
-"""Limit on the sequences of messages that are searched: a short definition may contain 2^64."""
+"""Limit on the sequences of messages that are searched."""
 MAX_NAMED: Final = 24
 """Limit on the fields that an error names."""
 MAX_FIELDS: Final = 8
@@ -171,10 +168,7 @@ MAX_FIELDS: Final = 8
 
 @dataclass(slots=True)
 class FieldSeries:
-    """The values of a field over time; `path` leads to the field in a message.
-
-    `absent` counts the messages that lack the field, because a list is too short for `path`.
-    """
+    """The values of a field over time; `absent` counts the messages that lack the field."""
 
     path: str
     series: Series
@@ -186,7 +180,7 @@ class FieldSeries:
 
 
 def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[FieldPath]:
-    """Return the number fields to which `paths` lead; a path to a message gives all its numbers.
+    """Return the number fields at `paths`, for a message all its numbers.
 
     Raises:
         UsageError: A path leads to no number, no path is given, or there are too many numbers.
@@ -262,10 +256,7 @@ def _is_plain_number(path: FieldPath) -> bool:
 def _with_lists(
     definition: Definition, found: Iterable[FieldPath], room: Iterator[int] | None = None
 ) -> Iterator[FieldPath]:
-    """Yield `found`, and after each sequence of messages the fields of its first item.
-
-    Each sequence uses up one value of `room`; if none is left, its fields are left out.
-    """
+    """Yield `found`, and after each sequence of messages the fields of its first item."""
     room = iter(range(MAX_LISTS)) if room is None else room
     for each in found:
         yield each
@@ -275,7 +266,7 @@ def _with_lists(
 
 
 def _names(found: Iterable[FieldPath]) -> list[str]:
-    """Return the path of each number in `found`; for a list, the path of its first number."""
+    """Return the path of each number in `found`, for a list that of its first number."""
     names = []
     for each in found:
         if _is_plain_number(each) or (each.kind is ValueKind.NUMBER and each.steps[-1] == 0):

@@ -78,7 +78,7 @@ def plain(value: float) -> str:
 
 
 TIME_FRAME: Final = Frame(960, 132, 62, 948, 10, 112)
-"""The frame of a figure over time: all figures over time on a page have the same time axis."""
+"""The frame of all figures over time on a page."""
 
 TITLE_HEIGHT: Final = 22
 BASELINE_PX: Final = 4

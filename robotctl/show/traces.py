@@ -74,7 +74,7 @@ class ModeSpan:
 
 @dataclass(frozen=True, slots=True)
 class TracedMoment:
-    """Something that happened during the recording: when, its kind in a word, and a description."""
+    """Something that happened during the recording."""
 
     t_s: float
     kind: str
@@ -83,7 +83,7 @@ class TracedMoment:
 
 @dataclass(frozen=True, slots=True)
 class EndedDrive:
-    """A drive that ended: when, why, and the report of what was measured."""
+    """A drive that ended, with the report of its errors."""
 
     t_s: float
     reason: str
@@ -121,7 +121,7 @@ class Traces:
         self.moments: list[TracedMoment] = []
         self.drives: list[EndedDrive] = []
         self.left_out = 0
-        """How many modes, moments, drives and wanted paths the limits have left out."""
+        """The number of modes, moments, drives and wanted paths that the limits have left out."""
 
         self.commanded_linear, self.commanded_angular, self.linear, self.angular = (
             Series(duration_s) for _ in range(4)
@@ -130,7 +130,7 @@ class Traces:
         self.rates = Rates(duration_s)
 
     def enter_mode(self, t_s: float, mode: str, reason: str) -> None:
-        """Begin a span at `t_s`; if mode and reason are unchanged, only extend the last span."""
+        """Begin a span at `t_s`, or extend the last span if mode and reason are unchanged."""
         if self.modes:
             self.modes[-1].end_s = t_s
             if self.modes[-1].mode == mode and self.modes[-1].reason == reason:
@@ -139,7 +139,7 @@ class Traces:
             self.modes.append(ModeSpan(t_s, t_s, mode, reason))
 
     def happened(self, t_s: float, kind: str, text: str) -> None:
-        """Add a moment at `t_s`; if there are MAX_MOMENTS already, only count it as left out."""
+        """Add a moment at `t_s`; after MAX_MOMENTS, count it as left out."""
         if self._has_room(self.moments, MAX_MOMENTS):
             self.moments.append(TracedMoment(t_s, kind, text))
 
@@ -179,8 +179,7 @@ MS_PER_NS: Final = 1e-6
 class JournalTraces:
     """Fills traces from the entries of a journal, in their order.
 
-    Commands, modes and ends of drives are copied from the entries. A kernel repeats the decisions
-    to compute the wanted path. After missing entries, a new kernel begins at the next snapshot.
+    After missing entries, the values that a kernel computes continue at the next snapshot.
     """
 
     def __init__(self, traces: Traces) -> None:
@@ -307,7 +306,7 @@ Taker = Callable[[Traces, float, bytes], None]
 def topic_takers(topics: Sequence[TopicInfo]) -> dict[tuple[str, str], Taker]:
     """Return the functions that add messages to traces, by topic name and type.
 
-    There is at most one topic each for odometry, commands and battery: the one with most messages.
+    Odometry, commands and battery have one topic each, the one with most messages.
     """
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (
@@ -357,7 +356,7 @@ class Recorded:
     traces: Traces
     has_journal: bool
     drawn: tuple[str, ...]
-    """The topics that were drawn; empty if the recording has a journal, which is drawn instead."""
+    """The topics that were drawn; empty if the recording has a journal."""
     missing: tuple[str, ...]
     """A sentence for each part that could not be read."""
     is_live: bool
@@ -420,7 +419,7 @@ class KeyFigure:
     """The key of the figure in `--json`."""
     name: str
     value: float | None
-    """None if the value is not known; `figures_of` replaces infinity and NaN by None, too."""
+    """None if the value is not known."""
     form: str
     unit: str
 
