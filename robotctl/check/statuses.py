@@ -221,8 +221,8 @@ class StatusCheck:
         gaps = sum(each > self._before for each in self._absent)
         gaps += self._first - 1 if self._first and ending.has_begin else 0
         is_mixed = self._unordered or self._foreign  # so the numbers are of two nodes
-        own = {*self._absent, self._first - 1, self._newest + 1}
-        if self._first and (self._foreign or not own.issuperset(self._misnamed)):
+        own = {*self._absent, self._first - 1, max(self._newest, self._before) + 1}
+        if (self._first or self._before) and (self._foreign or not own.issuperset(self._misnamed)):
             others = self._foreign + len(self._misnamed)
             report.notes.append(f"another node published robot statuses as well: {others} of its")
             self._foreign = others

@@ -327,6 +327,23 @@ def test_the_zeros_of_another_node_may_have_our_numbers(tmp_path: Path) -> None:
     assert (report.verdict, report.missing) == (Verdict.SAME, []), report
 
 
+def test_a_file_may_hold_statuses_of_another_node_alone(tmp_path: Path) -> None:
+    first, second = halves(heard_drive(6.0, snapshots_s=(0.0, 3.0)))
+    last = [each for each in first.messages if each.topic == STATUS][-1]
+    foreign = replace(last, data=status(2, 0.5, b"other"), sequence=1)
+    second.messages = [each for each in second.messages if each.topic != STATUS]
+    second.messages[:1] = [
+        replace(last, log_ns=second.messages[0].log_ns),
+        second.messages[0],
+        foreign,
+    ]
+    second.counts = Counter(each.topic for each in second.messages)
+    folder = write_files(tmp_path / "run", second)
+    report = check_recording((folder / "run_0.mcap").rename(folder / "run_1.mcap"))
+    assert "robot statuses are wrong" not in str((report.violations, report.missing))
+    assert any("another node published robot statuses" in each for each in report.notes)
+
+
 def test_numbers_that_a_file_began_beyond_are_no_gap(tmp_path: Path) -> None:
     """Another node begins to publish statuses of our name in a file that is checked alone."""
     first, second = halves(heard_drive(6.0, snapshots_s=(0.0, 3.0)))
