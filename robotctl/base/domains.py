@@ -1,7 +1,4 @@
-"""ROS domains: the discovery range, domains in use, and the reservation of a free domain.
-
-A domain is in use if processes on this machine have bound its ports.
-"""
+"""ROS domains, with their discovery, use and reservation on this machine."""
 
 from __future__ import annotations
 
@@ -59,10 +56,7 @@ def discovery_range() -> str:
 
 
 def wider_discovery() -> str:
-    """Return the setting that makes this process discover other machines, or "" if none does.
-
-    Static peers and a discovery server do so too, unless ROS_AUTOMATIC_DISCOVERY_RANGE is OFF.
-    """
+    """Return the setting that makes this process discover other machines, or "" if none does."""
     if discovery_range() == "OFF":
         return ""
     if discovery_range() in _WIDER_RANGES:
@@ -96,8 +90,6 @@ def participants_here(domain_id: int) -> int | None:
 def reserved_domain() -> Iterator[int]:
     """Reserve an unused domain of this machine until the block ends, and yield its number.
 
-    The reservation is a bound port, which the system releases even if the process is killed.
-
     Raises:
         Refused: Every domain is in use.
     """
@@ -113,7 +105,7 @@ def reserved_domain() -> Iterator[int]:
 
 
 def _free_domain() -> int:
-    """Return a random free domain, so that simultaneous callers rarely collide.
+    """Return a random free domain.
 
     Raises:
         Refused: Every domain is in use.
@@ -138,12 +130,10 @@ def _places(ports: Iterable[int]) -> Iterator[tuple[int, int]]:
 
 
 def _bound_udp_ports() -> set[int] | None:
-    """Return the UDP ports that are bound on this machine, or None without /proc.
-
-    Each table is read twice: Linux returns it page by page, and if a socket is closed between two
-    pages, another socket may be missing (in 1 of 80 reads on a busy machine).
-    """
+    """Return the UDP ports that are bound on this machine, or None without /proc."""
     ports: set[int] | None = None
+    # Linux returns a table page by page: if a socket is closed between two pages, another one may
+    # be missing (in 1 of 80 reads on a busy machine).
     for table in 2 * _TABLES:
         try:
             lines = Path(table).read_text().splitlines()[1:]

@@ -1,9 +1,4 @@
-"""Ensure that our rclpy is imported, even if the shell has sourced another ROS.
-
-A sourced ROS precedes the environment of robotctl: its Python packages through PYTHONPATH, its
-libraries through LD_LIBRARY_PATH, which the loader reads only when a process starts. `prepare`
-therefore removes those entries and restarts the process. Standard library only.
-"""
+"""Makes Python import our rclpy in a shell that sourced another ROS. Standard library only."""
 
 from __future__ import annotations
 
@@ -38,15 +33,14 @@ _MARKS = {
 def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
     """Prepare the environment for the import of rclpy; return a note after a restart, else "".
 
-    If the environment has another ROS or middleware, call `before_restart` and restart the process
-    without it; in the new process, `prepare` returns a note on the changes. Unless the user has
-    chosen otherwise, also limit discovery to this machine, and name our Fast DDS profiles file.
+    To remove another ROS or middleware, it calls `before_restart` and restarts the process. It
+    limits discovery to this machine, unless the user has chosen otherwise.
     """
     note = os.environ.pop(_NOTE, "")
     if _has_own_rclpy():
         cleaned, found = without_foreign_ros(os.environ, Path(sys.prefix))
         if found and not note:  # only once, even if the entries come back
-            before_restart()
+            before_restart()  # the loader reads LD_LIBRARY_PATH only when a process starts
             os.execve(sys.executable, sys.orig_argv, {**cleaned, _NOTE: found})
         prefixes = _entries(os.environ, _PREFIXES)
         if sys.prefix not in prefixes:
@@ -60,9 +54,8 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
 def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[dict[str, str], str]:
     """Return a copy of `environment` without any ROS outside `prefix`, and a note on the changes.
 
-    If another ROS of our distribution is sourced, only its folders with an rclpy are removed, so
-    message packages of overlays stay. All folders of another distribution are removed. Any
-    RMW_IMPLEMENTATION other than RMW is replaced by RMW.
+    Folders of our own distribution stay unless they have an rclpy or librcl. RMW_IMPLEMENTATION is
+    changed to RMW.
     """
     distro = environment.get("ROS_DISTRO", "")
     cleaned = dict(environment)
@@ -100,11 +93,8 @@ def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[d
 
 
 def limit_discovery() -> None:
-    """Limit discovery to this machine, unless the user has chosen otherwise.
-
-    The variable of Humble, ROS_LOCALHOST_ONLY, is replaced: rcl would warn about this variable.
-    """
-    if os.environ.pop("ROS_LOCALHOST_ONLY", "") == "1":
+    """Limit discovery to this machine, unless the user has chosen otherwise."""
+    if os.environ.pop("ROS_LOCALHOST_ONLY", "") == "1":  # of Humble: rcl would warn about it
         os.environ[RANGE] = "LOCALHOST"
         os.environ.pop("ROS_STATIC_PEERS", None)
     os.environ.setdefault(RANGE, "LOCALHOST")

@@ -26,11 +26,10 @@ IN_PARENTHESES = "{cause} ({cure})"
 
 
 class RobotctlError(Exception):
-    """The base class of all errors. An internal error of robotctl has exactly this class.
+    """The base class of all errors, and the class of internal errors.
 
-    `str(error)` is the text for people. `cause` describes the error, and `cure` is the advice;
-    if `cure` is empty, `cause` may contain both. `answer` is the partial result: the numbers of a
-    drive that was stopped, or the readable part of a damaged file.
+    `cause` describes the error, and `cure` is the advice; if `cure` is empty, `cause` may contain
+    both. `answer` is the partial result, such as the readable part of a damaged file.
     """
 
     exit_code: ClassVar[int] = 1
@@ -155,7 +154,7 @@ def error_for_exit_code(
 ) -> RobotctlError:
     """Return the error that another process sent; `details` is the result of its `details()`.
 
-    Details of an unknown form, for example from another version, are ignored.
+    Details of an unknown form are ignored.
     """
     error = {kind.exit_code: kind for kind in _KINDS}.get(exit_code, RobotctlError)(text)
     details = details or {}

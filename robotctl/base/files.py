@@ -13,7 +13,7 @@ from typing import BinaryIO, Final
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading: not a FIFO, which may block, nor a device without an end.
+    """Open a file for reading, unless it is a FIFO or a device.
 
     Raises:
         OSError: The file cannot be opened, or is not a regular file.
@@ -57,7 +57,7 @@ ABANDONED_S: Final = 3600.0
 
 
 def remove_abandoned(folder: Path, pattern: str) -> None:
-    """Remove files that match the glob `pattern` and that killed processes left unfinished."""
+    """Remove the files matching the glob `pattern` that were unchanged for ABANDONED_S."""
     with suppress(OSError):
         for unfinished in folder.glob(pattern):
             if time.time() - unfinished.lstat().st_mtime > ABANDONED_S:

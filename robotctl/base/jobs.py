@@ -1,10 +1,10 @@
-"""Jobs for an event loop, done in a process of the lowest CPU priority; the loop never blocks.
+"""Jobs of an event loop in processes of the lowest CPU priority.
 
     python -m robotctl.base.jobs WORK JOB --report-fd N
 
-WORK is `module:function`. The function gets the JSON object JOB and a function that sends a report,
-which is one line of JSON on descriptor N. A RobotctlError becomes the report {"error": text}; it is
-printed to stderr if the process that started this one has ended.
+WORK is `module:function`. The function gets the JSON object JOB and a function that sends a report.
+A RobotctlError becomes the report {"error": text}, or is printed to stderr if nobody reads the
+reports.
 """
 
 from __future__ import annotations

@@ -10,10 +10,8 @@ if TYPE_CHECKING:
 
 
 def open_standard_streams() -> None:
-    """Open /dev/null in place of each standard stream that is closed.
-
-    Otherwise the next socket or file would get descriptor 0, 1 or 2, and receive the output.
-    """
+    """Open /dev/null in place of each standard stream that is closed."""
+    # Otherwise the next socket or file would get such a descriptor, and receive the output.
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(descriptor, True)
     os.close(descriptor)

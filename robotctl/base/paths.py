@@ -26,7 +26,7 @@ ROBOT_VARIABLE = "ROBOTCTL_ROBOT"
 """The environment variable with the default of `--robot`."""
 
 LEASE_VARIABLE = "ROBOTCTL_LEASE"
-"""The environment variable with a token, which proves that a client holds the robot's lease."""
+"""The environment variable with the token of the robot's lease."""
 
 _NAMESPACE_PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ROBOT_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -129,7 +129,7 @@ def socket_path(robot: str) -> Path:
 
 
 def lock_path(robot: str) -> Path:
-    """Return the path of the file that the robot's daemon locks by flock, and that has its pid."""
+    """Return the path of the file with the pid of the robot's daemon, which locks it by flock."""
     return runtime_folder() / f"{check_robot_name(robot)}.lock"
 
 
@@ -154,5 +154,5 @@ def seal_folder(robot: str) -> Path:
 
 
 def recordings_note_path(robot: str) -> Path:
-    """Return the path of a text file; it contains the path of the last daemon's recordings."""
+    """Return the path of the file that names the folder of the last daemon's recordings."""
     return robot_state_folder(robot) / "recordings"

@@ -40,8 +40,7 @@ def results_of(
 ) -> Iterator[tuple[Path, Result | None]]:
     """Call `function` for each recording; yield recording and result in the order of completion.
 
-    `processes` starts the executor. If one of its processes dies, all unfinished jobs are lost, and
-    each runs again in a separate process. If that process dies, too, the result is None.
+    Jobs that are lost with a process run again, each alone. The result is None if that fails, too.
     """
     done = 0
     lost: list[Path] = []
@@ -97,8 +96,7 @@ def _end_with_parent() -> None:
 def local_processes(jobs: int) -> Iterator[Executor]:
     """Yield an executor with a process per CPU, but at most one per job.
 
-    The processes ignore Ctrl-C: their parent handles it. They are killed at the end of the block,
-    and also if the parent is killed.
+    The processes ignore Ctrl-C. They are killed at the end of the block, and with their parent.
 
     Raises:
         RobotctlError: The system has no shared memory for them.

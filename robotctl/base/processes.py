@@ -1,10 +1,9 @@
-"""The one way to start another process of robotctl; standard library only.
+"""Starts other processes of robotctl; standard library only.
 
     python -P -m robotctl.MODULE ARGUMENTS --report-fd 3
 
-The child sends reports, one JSON object per line, through a separate pipe. It may also receive
-lines on its stdin. Reports do not use stdout, because libraries print there (Fast DDS warns about
-lock files); stdout and stderr go where a user reads them.
+The child sends reports, one JSON object per line, through a pipe of their own, because libraries
+print on stdout. It may receive lines on its stdin.
 """
 
 from __future__ import annotations
@@ -23,8 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 _FIRST_FREE_FD: Final = 10
-"""The lowest number for our ends of the pipes. It is above the descriptors of the child, so that
-nothing overwrites our ends, even in a process that was started without stdin, stdout and stderr."""
+"""The lowest number for our ends of the pipes, above all descriptors that the child gets."""
 
 
 def open_pipe() -> tuple[int, int]:
@@ -61,7 +59,7 @@ def write_whole(descriptor: int, line: bytes) -> None:
 def pidfd_of(pid: int) -> Iterator[int | None]:
     """Yield a descriptor that becomes readable when the process ends; None if it cannot be opened.
 
-    Enter the block before you end the process: afterwards, its pid may be another process's.
+    Enter the block before you end the process; after its end, its pid may be reused.
     """
     try:
         descriptor = os.pidfd_open(pid)
@@ -156,7 +154,7 @@ class Child:
 
     @property
     def has_stdin(self) -> bool:
-        """Whether lines can be sent: the child's stdin is a pipe that this side has not closed."""
+        """Whether the child's stdin is an open pipe."""
         return self._stdin is not None
 
     def send(self, line: bytes) -> None:
@@ -240,11 +238,8 @@ CHILD_FD: Final = 3
 
 
 def program(module: str) -> tuple[str, ...]:
-    """Return the command that runs a module with this Python.
-
-    With -P, a file in the working directory is not imported in place of a library.
-    """
-    return (sys.executable, "-P", "-m", module)
+    """Return the command that runs a module with this Python."""
+    return (sys.executable, "-P", "-m", module)  # -P: no imports from the working directory
 
 
 def start(
@@ -254,12 +249,12 @@ def start(
     with_stdin: bool = False,
     log: Path | None = None,
 ) -> Child:
-    """Start `command` with two more arguments: `option` and the number of the report descriptor.
+    """Start `command` with two more arguments, `option` and the number of the report descriptor.
 
     With a `log`, the child writes stdout and stderr to that file, runs in a new session, outlives
-    this process and inherits no other descriptors. Without a `log`, it writes both to our stderr,
-    and runs in a new process group, so that a Ctrl-C in the terminal does not reach the child. Its
-    stdin is a pipe if `with_stdin` is set, otherwise /dev/null.
+    this process and inherits no other descriptors. Without, it writes both to our stderr, and a
+    Ctrl-C in the terminal does not reach it. Its stdin is a pipe if `with_stdin` is set, otherwise
+    /dev/null.
     """
     ours: list[int] = []
     theirs: list[int] = []

@@ -1,8 +1,7 @@
-"""Features of earlier versions that were removed, each with what a user does instead.
+"""Removed features of earlier versions, each with advice for its users.
 
-A retired command or option is refused with this advice. A retired configuration key causes one
-warning and is ignored. A retired journal field is ignored if it has its default.
-An entry is kept for one version, or forever for journals: old recordings stay readable.
+A command or option is refused, a configuration key causes a warning. An entry is kept for one
+version, or forever for journals.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ CONFIG_KEYS: Mapping[str, str] = {
 """Removed keys of configuration files and launch arguments, with what replaces them."""
 
 JOURNAL_FIELDS: Mapping[str, object] = {"Snapshot.params.standalone": False}
-"""Removed fields of a journal's snapshots, as `Snapshot.path`, each with its default."""
+"""Removed fields of a journal's snapshots, as `Snapshot.path`, each with the default to ignore."""
 
 CAUSES: Mapping[str, str] = {
     "gate lost": "the daemon commands the robot itself, without a gate in another process",

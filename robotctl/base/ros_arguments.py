@@ -1,7 +1,6 @@
 """`--ros-args` of a command line: parameters, parameter files, remaps, names, log levels.
 
-The syntax is that of rcl (https://design.ros2.org/articles/ros_command_line_arguments.html). Each
-argument is checked here, so that the error about a wrong one comes before a node exists.
+The syntax is that of rcl (https://design.ros2.org/articles/ros_command_line_arguments.html).
 """
 
 from __future__ import annotations
@@ -93,8 +92,8 @@ class Remap:
 class RosArguments:
     """The parsed arguments in their order; `namespace` is None if no argument sets it.
 
-    `settings` holds parameters and parameter files. In `settings` and `log_levels`, later items
-    override earlier ones. `node_names` maps a node's usual name ("": every node) to its new name.
+    Later items of `settings` and `log_levels` override earlier ones. `node_names` maps a node's
+    usual name, "" for every node, to its new name.
     """
 
     settings: tuple[Assignment | Path, ...] = ()

@@ -1,4 +1,4 @@
-"""Text from outside, made safe to print and to log; the names of the modes as users write them."""
+"""Text made safe to print and to log, and the names of the modes."""
 
 from __future__ import annotations
 

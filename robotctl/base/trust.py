@@ -1,8 +1,4 @@
-"""Which folders are trusted: those that no other user can change. Standard library only.
-
-Another user may create a folder of a well-known name first, especially in /tmp, and then put
-anything in it, for example a socket that answers `estop` with success.
-"""
+"""Checks that no other user can change a folder. Standard library only."""
 
 from __future__ import annotations
 
@@ -30,6 +26,8 @@ OVERFLOW_UID: Final = 65534
 """The uid that a container shows for each user without a mapping (user_namespaces(7))."""
 
 
+# Another user may create a folder of a well-known name first, especially in /tmp, with a socket
+# that answers `estop` with success.
 class FolderChain:
     """The folders from `base` down to `folder`; the environment variable `variable` sets `base`.
 
@@ -52,10 +50,9 @@ class FolderChain:
         self._trusted = (ROOT_UID, os.getuid(), guest)
 
     def for_client(self) -> FolderChain:
-        """Return a chain for a client. It may also trust the owner of `base` if `variable` is set.
+        """Return the chain for a client; it may trust the owner of `base` if `variable` is set.
 
-        Root trusts any owner: `sudo -E robotctl estop` stops the robot of the user who runs it.
-        Other users trust the owner if `base` is a folder that root created for a system unit.
+        Root trusts any owner. Other users trust the owner of a systemd unit's runtime folder.
         """
         if not os.environ.get(self.variable):
             return self
@@ -159,7 +156,7 @@ class FolderChain:
 
 
 def user_text(uid: int) -> str:
-    """Return "uid N" for a message; an unmapped user gets an explanation in addition."""
+    """Return "uid N" for a message, with an explanation for an unmapped user."""
     if uid == OVERFLOW_UID:
         return f"uid {uid} (nobody, or a user that this container does not know)"
     return f"uid {uid}"

@@ -1,4 +1,4 @@
-"""A reader and a writer of CDR, the serialized form of ROS messages; names of common types."""
+"""A reader and a writer of CDR, the serialized form of ROS messages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ _LARGEST: Final = 8
 
 
 class CdrReader:
-    """Reads the fields of a message in their order."""
+    """Reads the fields of a message in their order.
+
+    Each method raises struct.error if the message is cut short.
+    """
 
     def __init__(self, data: bytes) -> None:
         """Read `data` from its first field.
@@ -40,11 +43,7 @@ class CdrReader:
         self._order = "<" if data[:2] == LITTLE_ENDIAN else ">"
 
     def take(self, code: str, count: int = 1) -> tuple[Any, ...]:
-        """Return the next `count` numbers; `code` is their format in `struct`.
-
-        Raises:
-            struct.error: The message is cut short.
-        """
+        """Return the next `count` numbers; `code` is their format in `struct`."""
         size = struct.calcsize(code)
         self._position += (BODY - self._position) % size
         numbers = struct.unpack_from(f"{self._order}{count}{code}", self._data, self._position)
@@ -52,50 +51,30 @@ class CdrReader:
         return numbers
 
     def run(self, codes: str) -> tuple[Any, ...]:
-        """Return one number for each `struct` code in `codes`; an `x` skips a byte.
-
-        Raises:
-            struct.error: The message is cut short.
-        """
+        """Return one number for each `struct` code in `codes`; an `x` skips a byte."""
         layout = _aligned(self._order, codes, (self._position - BODY) % _LARGEST)
         numbers = layout.unpack_from(self._data, self._position)
         self._position += layout.size
         return numbers
 
     def text(self) -> str:
-        """Return the next string; bytes that are not UTF-8 are replaced.
-
-        Raises:
-            struct.error: The message is cut short.
-        """
+        """Return the next string; bytes that are not UTF-8 are replaced."""
         (size,) = self.take("I")
         return self.octets(size)[:-1].decode(errors="replace")
 
     def skip_header(self) -> None:
-        """Skip a std_msgs/Header.
-
-        Raises:
-            struct.error: The message is cut short.
-        """
+        """Skip a std_msgs/Header."""
         self.take("I", 2)
         self.octets(*self.take("I"))
 
     def wide_text(self) -> str:
-        """Return the next wide string; units that are not UTF-16 are replaced.
-
-        Raises:
-            struct.error: The message is cut short.
-        """
+        """Return the next wide string; units that are not UTF-16 are replaced."""
         (count,) = self.take("I")
         units = b"".join(struct.pack("<H", each & 0xFFFF) for each in self.take("I", count))
         return units.decode("utf-16-le", "replace")
 
     def octets(self, count: int) -> bytes:
-        """Return the next `count` bytes.
-
-        Raises:
-            struct.error: The message is cut short.
-        """
+        """Return the next `count` bytes."""
         begin, self._position = self._position, self._position + count
         if self._position > len(self._data):
             raise struct.error("a string or an array is longer than its message")

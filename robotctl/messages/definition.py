@@ -1,8 +1,7 @@
-"""The definition of a ROS type: read from ros2msg text or a description, written, and hashed.
+"""The definition of a ROS type as ros2msg text and as description.
 
-A description has the form of type_description_interfaces/msg/TypeDescription as plain values, as in
-the .json files of installed types. Texts and descriptions come from files and from other processes,
-so each has limits; a larger one is refused early, with UnreadableType.
+A description has the form of type_description_interfaces/msg/TypeDescription as plain values. A
+text or description beyond the limits is refused with UnreadableType.
 """
 
 from __future__ import annotations
@@ -82,10 +81,10 @@ class FieldShape(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field: its name, its type (a built-in one, or `pkg/T`) and how many values it has.
+    """A field of a type; `type_name` is a built-in type or `pkg/T`.
 
-    `length` is the length of an array or the bound of a sequence, None for an unbounded sequence
-    or a single value. `text_bound` is the bound of a string, None if it is unbounded.
+    `length` is the length of an array or the bound of a sequence, None for an unbounded sequence or
+    a single value. `text_bound` is the bound of a string, None if it is unbounded.
     """
 
     name: str
@@ -121,9 +120,9 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """The fields of the type `root` and of all types that it needs; `types` has them by `pkg/T`.
+    """The fields of a type and of all types that it needs.
 
-    The types stand in the order of a ros2msg text: `root`, then the others depth first.
+    `types` has `root` first, then the others depth first, each by `pkg/T`.
     """
 
     root: str
@@ -134,8 +133,7 @@ class Definition:
     def leaf_count(self, field: Field) -> int:
         """Return the number of leaves of a field.
 
-        A leaf is a number, a text, a message without fields, or a list. A field that `is_split`
-        counts the leaves of all its values.
+        A leaf is a number, a text, a message without fields, or a list that is not split.
         """
         one = self.leaf_counts[field.type_name] if field.is_message else 1
         if field.shape is FieldShape.ONE:
@@ -168,8 +166,7 @@ def short_type(type_name: str) -> str:
 def ros2msg(texts: Mapping[str, str]) -> str:
     """Return the text of a type and its dependencies in the form of rosbag2.
 
-    `texts` maps `pkg/T` to its .msg text, the type itself first. In the result, each dependency
-    follows a line of 80 "=" and a line `MSG: pkg/T`.
+    `texts` maps `pkg/T` to its .msg text, the type itself first.
     """
     (_, own), *others = texts.items()
     parts = [own, *(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)]
@@ -284,10 +281,7 @@ _EMPTY: Final = (Field("structure_needs_at_least_one_member", "uint8"),)
 
 
 def rihs01_hash(type_name: str, definition: Definition) -> str:
-    """Return the RIHS01 hash of a type `pkg/msg/T`, `pkg/srv/T` or `pkg/action/T`.
-
-    Comments, constants and default values do not change the hash.
-    """
+    """Return the RIHS01 hash of a type `pkg/msg/T`, `pkg/srv/T` or `pkg/action/T`."""
     text = json.dumps(description_of(type_name, definition))
     return f"RIHS01_{sha256(text.encode()).hexdigest()}"
 
@@ -334,7 +328,7 @@ def description_of(type_name: str, definition: Definition) -> dict[str, Any]:
 
 
 def read_description(type_name: str, description: Mapping[str, Any]) -> Definition:
-    """Return the definition of `type_name`: the described type, or a type that it needs.
+    """Return the definition of the described type, or of a type that it needs.
 
     Raises:
         UnreadableType: The description is malformed or exceeds a limit, ros2msg cannot express it

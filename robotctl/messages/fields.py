@@ -1,8 +1,4 @@
-"""Paths to the fields of a message, and the leaves of a type: the columns of a table of messages.
-
-A leaf is a number, a text, or a list. An array of fixed length with at most 64 leaves in total is
-split into these leaves, such as `ranges[0]`; an array of bytes is always one leaf.
-"""
+"""Paths to the fields of a message, and the leaves of a type."""
 
 from __future__ import annotations
 
@@ -134,7 +130,7 @@ def value_at(values: Mapping[str, Any], steps: Steps) -> Any:
 def leaves(definition: Definition, below: FieldPath | None = None) -> Iterator[FieldPath]:
     """Yield the leaves of a type, or of the field at the path `below`, in the order of definition.
 
-    A message without fields is a leaf, too, but has no value and no column in a table.
+    A message without fields is a leaf without a value.
     """
     path = below or FieldPath((), Field("", definition.root))
     field, steps = path.field, path.steps

@@ -1,12 +1,4 @@
-"""Reads a robot's inputs from CDR, and reads and writes odometry and Twist.
-
-Odometry arrives at the control rate. Reading the six numbers that the robot needs takes 2 us here;
-rclpy needs 50 us to make an Odometry object with its two covariances.
-
-`reader_of` returns the reader of a safety input: a function from a serialized message to two
-values, the number that `SafetyInput` defines (NaN if the message is unreadable), and the sender's
-text or "".
-"""
+"""Reads the inputs of a robot from CDR, and reads and writes odometry and Twist."""
 
 from __future__ import annotations
 
@@ -30,12 +22,13 @@ _LENGTH = struct.Struct("<I")
 _POSE = struct.Struct("<7d")
 _VELOCITY = struct.Struct("<6d")
 _COVARIANCES = 36
+# Reading these takes 2 us; rclpy needs 50 us to make an Odometry object.
 _SAMPLE = struct.Struct("<2d8x4d288xd32xd")
 """Position x y, orientation x y z w, linear velocity x, angular velocity z; the rest is skipped."""
 
 
 UNREADABLE = Odometry(Pose(nan, nan, nan), Twist(nan, nan), 0)
-"""Replaces a message that cannot be read: the kernel drops it because it is not finite."""
+"""The odometry of an unreadable message; its numbers are not finite."""
 
 
 class Sample(NamedTuple):
@@ -54,7 +47,7 @@ _new = tuple.__new__
 
 
 def sample_of(odometry: Odometry) -> Sample:
-    """Return pose, velocity and stamp of `odometry` as a Sample, a flat tuple of numbers."""
+    """Return `odometry` as a flat tuple of numbers."""
     pose, velocity = odometry.pose, odometry.velocity
     linear, angular = velocity.linear, velocity.angular
     return _new(Sample, (pose.x, pose.y, pose.theta, linear, angular, odometry.stamp_ns))
@@ -138,10 +131,10 @@ def decode_twist_stamped(data: bytes) -> Twist:
 
 
 class OdometryEncoder:
-    """Serializes the odometry of one robot: only the numbers change from message to message."""
+    """Serializes the odometry of one robot."""
 
     def __init__(self, frame_id: str, child_frame_id: str) -> None:
-        """Encode odometry of `child_frame_id` in `frame_id`, with covariances 0: unknown."""
+        """Encode odometry of `child_frame_id` in `frame_id`, with covariances 0 (unknown)."""
         writer = _begun(frame_id)
         writer.text(child_frame_id)
         self._pose = _pose_offset(writer.data)
@@ -186,7 +179,7 @@ def frame_id_of(data: bytes) -> str:
 
 
 def _pose_offset(data: bytes | bytearray) -> int:
-    """Return the offset of the pose in a serialized Odometry: after stamp and two frame names."""
+    """Return the offset of the pose in a serialized Odometry."""
     (length,) = _LENGTH.unpack_from(data, BODY + _STAMP.size)
     child = _STAMP.size + _LENGTH.size + length
     child += -child % 4
@@ -209,10 +202,7 @@ _PERCENTAGE = 6
 
 
 def read_battery_level(data: bytes) -> float:
-    """Return the level of a serialized BatteryState as its publisher reports it, NaN if unreadable.
-
-    REP-147 and the message require 0..1; other scales are configured by `battery.scale`.
-    """
+    """Return the level of a serialized BatteryState on its publisher's scale, NaN if unreadable."""
     try:
         message = CdrReader(data)
         message.skip_header()
@@ -263,6 +253,7 @@ def read_sectors(data: bytes) -> tuple[float, ...]:
 
 
 Reader = Callable[[bytes], tuple[float, str]]
+"""Returns the number that `SafetyInput` defines, NaN if unreadable, and the sender's text or ""."""
 
 MESSAGE_TYPES = {
     SafetyInput.ESTOP: "std_msgs/msg/Bool",
@@ -282,14 +273,14 @@ MAX_VALUES = 20_000
 """Limit on the key-value pairs in one message: reading this many takes about 20 ms."""
 
 UNIT_TOLERANCE = 0.1
-"""How far the length of a quaternion may be from 1."""
+"""The largest difference between the length of a quaternion and 1."""
 
 
 def reader_of(kind: SafetyInput, *, button: int, robot: str) -> Reader:
     """Return a new reader of an input.
 
-    The reader of JOY reads the button with the number `button`. The reader of DIAGNOSTICS remembers
-    earlier messages, and skips the statuses that robotctl sends for `robot`.
+    JOY needs the number of the `button`. The reader of DIAGNOSTICS remembers earlier messages, and
+    skips the statuses that robotctl sends for `robot`.
     """
     readers: dict[SafetyInput, Reader] = {
         SafetyInput.ESTOP: _bool,
@@ -326,8 +317,8 @@ def _button(number: int, data: bytes) -> tuple[float, str]:
 def _tilt(data: bytes) -> tuple[float, str]:
     """Return the angle between the upward axes of robot and world (REP-103), rounded to 0.01 rad.
 
-    Return NaN if the quaternion is not of length 1, or if the covariance begins with -1, which
-    means that there is no orientation (sensor_msgs/Imu).
+    It is NaN if the quaternion is not of length 1, or the covariance begins with -1
+    (sensor_msgs/Imu).
     """
     message = CdrReader(data)
     message.skip_header()

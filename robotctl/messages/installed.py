@@ -1,8 +1,4 @@
-"""The types that are installed here: their ros2msg texts and RIHS01 hashes, read without ROS.
-
-A type that a service or action implies, such as `T_Request`, has no .msg file: its text is written
-from the description of the interface that implies it.
-"""
+"""The ros2msg texts and RIHS01 hashes of the installed types, read without ROS."""
 
 from __future__ import annotations
 
@@ -87,10 +83,7 @@ NOT_INSTALLED: Final = InstalledType("", "")
 
 @lru_cache(maxsize=1024)
 def installed_type(type_name: str) -> InstalledType:
-    """Return text and hash of an installed type, such as `pkg/msg/T` or `pkg/srv/T_Event`.
-
-    The text of a message has the form of rosbag2 and contains each .msg file unchanged.
-    """
+    """Return text and hash of an installed type, such as `pkg/msg/T` or `pkg/srv/T_Event`."""
     try:
         name = parse_type_name(type_name)
     except UnusableType:

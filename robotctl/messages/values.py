@@ -1,4 +1,4 @@
-"""Converts any message to plain values and back by its definition; checks values from users.
+"""Converts any message to plain values and back by its definition.
 
 A message becomes a dict. An array or sequence becomes a list, or `bytes` if its items are bytes.
 """
@@ -17,7 +17,7 @@ from robotctl.messages.definition import BYTE, NUMBERS, TEXT, Definition, Field,
 from robotctl.messages.fields import FieldPath, ValueKind, WrongValue, leaves, unknown_field
 
 _PADDING: Final = "x"
-"""A message without fields has one byte in CDR, because C++ has no empty structures."""
+"""The one byte of a message without fields."""
 
 _Step = str | Callable[[CdrReader], Any]
 """The `struct` codes of several leaves, or a function that reads the value of one leaf."""

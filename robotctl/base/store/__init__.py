@@ -1,11 +1,7 @@
 """Objects in a bucket, on a web server or in a folder. URLs need obstore; nothing here needs ROS.
 
-store = open_store("s3://bucket/robots/one")
-for found in store.list():
+store = open_store("s3://bucket/robots/one") for found in store.list():
     store.get_range(found, 0, 100)
-
-`RemoteFile` is the `Path` of one MCAP file at a URL, of which the readers of recordings can read
-ranges. The modules `bucket` and `folder_store` are loaded when a store is opened.
 """
 
 from __future__ import annotations
@@ -25,7 +21,7 @@ from robotctl.base.store.objects import ObjectStore, StoredObject, StoreError, i
 SUFFIX: Final = ".mcap"
 
 _LEAST_BYTES: Final = 64 << 10
-"""The smallest range to request: a store needs about as long for a smaller one."""
+"""The smallest range to request."""
 
 _MOST_BYTES: Final = 4 << 20
 """The largest range to request of a file that is read from start to end."""
@@ -104,11 +100,11 @@ class RemoteFile(PosixPath):
         return False
 
     def absolute(self) -> Self:
-        """Return this path, which is absolute."""
+        """Return this path."""
         return self
 
     def resolve(self, strict: bool = False) -> Self:
-        """Return this path: a store has no links."""
+        """Return this path."""
         return self
 
     def _store(self) -> ObjectStore:
@@ -173,8 +169,7 @@ class RangeReader:
 def open_store(place: str) -> ObjectStore:
     """Open a URL or a folder as a store of the objects below it.
 
-    No request is sent yet: the first call of a method shows whether the store exists. Credentials
-    come from the environment, such as AWS_ACCESS_KEY_ID and AWS_ENDPOINT_URL.
+    No request is sent yet. Credentials come from the environment, such as AWS_ACCESS_KEY_ID.
 
     Raises:
         UsageError: The URL is wrong or not that of a store, or obstore is not installed.

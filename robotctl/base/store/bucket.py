@@ -1,8 +1,5 @@
 """Object stores and web servers, through the library obstore (the extra `store`).
 
-Requests run in a separate thread, so that Ctrl-C ends the wait for them at once: blocking calls of
-the library cannot be interrupted. All requests are cancelled before Python exits, because a request
-that is still running would make the library print a Rust backtrace.
 The library's error texts may contain signatures and headers; ours do not.
 """
 
@@ -65,7 +62,7 @@ _WRITTEN: Final = "mtime"
 """The attribute with the time when the content was written [ns since the epoch], as in rclone."""
 
 _LIBRARY_LETS_GO_S: Final = 0.5
-"""How long the library's threads may need to end after a cancellation; they cannot be joined."""
+"""The time for the library's threads to end after a cancellation; they cannot be joined."""
 
 _CREDENTIALS: Final = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; for a public bucket "
@@ -203,8 +200,7 @@ class RemoteStore:
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
         """Store an object unless the key is in use; return whether it was stored.
 
-        An object larger than PART_BYTES may replace one that another process stores meanwhile: the
-        library's interface for multipart uploads has no condition.
+        An object larger than PART_BYTES may replace one that another process stores meanwhile.
         """
         begin, rest = _beginning(parts)
         if len(begin) <= PART_BYTES:
@@ -305,6 +301,8 @@ def _retries() -> RetryConfig:
     }
 
 
+# Ctrl-C cannot interrupt a blocking call of the library, only the wait for this thread. A request
+# that still runs when Python exits would make the library print a Rust backtrace.
 class RequestLoop:
     """An asyncio loop in a separate thread; call `end` before Python exits."""
 

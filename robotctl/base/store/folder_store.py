@@ -116,11 +116,7 @@ class FolderStore:
 
     @contextmanager
     def _filled(self, key: str, parts: Iterable[bytes], stamp: Stamp) -> Iterator[Path]:
-        """Yield the path of a temporary file with the content, already on the disk (fsync).
-
-        The path is removed after the block. A process that is killed leaves the file, whose name
-        begins with PREFIX; after ABANDONED_S, the next call for the same folder removes the file.
-        """
+        """Yield the path of a temporary file with the content, already on the disk (fsync)."""
         folder = self._path(key).parent
         folder.mkdir(parents=True, exist_ok=True)
         remove_abandoned(folder, f"{PREFIX}*")

@@ -1,7 +1,6 @@
-"""Objects by key: the interface of every store (folder, bucket, web server), URLs, and errors.
+"""The interface of every store, its errors, and URLs. Standard library only.
 
-Copied recordings have keys of the form RECORDING/FILE; an earlier `robotctl sync` made keys of the
-form RECORDING/SHA256/FILE. Standard library only.
+The keys of recordings are RECORDING/FILE, or RECORDING/SHA256/FILE from an earlier `sync`.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ def short_answer(where: str, got: int, wanted: int) -> BrokenAnswer:
 
 @dataclass(frozen=True, slots=True)
 class StoredObject:
-    """What a store reported about an object at one moment."""
+    """The description of an object at one moment."""
 
     key: str
     """The path of the object below the store, with slashes."""
@@ -71,7 +70,7 @@ class StoredObject:
     """Text that changes when the content changes; each store has its own format."""
 
     modified_ns: int = field(default=0, compare=False)
-    """When the content was written, since the epoch; in a bucket's listing, when it was stored."""
+    """The time of writing since the epoch; in a bucket's listing, the time of storing."""
 
     sha256: str = field(default="", compare=False)
     """The hash that was stored with the object; "" if there is none, or in a listing."""
@@ -79,7 +78,7 @@ class StoredObject:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """Metadata to store with an object: the content's SHA-256, and when the content was written."""
+    """Metadata to store with an object."""
 
     sha256: str = ""
     modified_ns: int = 0
@@ -137,8 +136,8 @@ class ObjectStore(Protocol):
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
         """Store the object `key` from parts of any length; replace an object that has this key.
 
-        The object appears when all parts are stored. If iterating `parts` raises an exception,
-        nothing is stored, and `put` raises that exception.
+        The object appears when all parts are stored; if `parts` raises an exception, nothing is
+        stored.
         """
 
 
@@ -152,7 +151,7 @@ _HASH: Final = re.compile(r"[0-9a-f]{64}")
 _HASH_FOLDER: Final = re.compile(r"(?<![^/])[0-9a-f]{64}/")
 
 _LOOKED_AT: Final = 3
-"""How many subfolders are searched for copies, in case the first ones contain other files."""
+"""The number of subfolders that are searched for copies."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +193,7 @@ def parse_url(text: str) -> StoreUrl:
     """Return the parts of the URL `text`.
 
     Raises:
-        UsageError: `text` is no URL of a store. No part that may be a password is in the error.
+        UsageError: `text` is no URL of a store; the error never contains a password.
     """
     scheme = text.partition("://")[0].lower()
     if not is_url(text) or scheme not in SCHEMES:
