@@ -177,13 +177,13 @@ class Measured:
     commanded_mps: float
     reached_mps: float
     command_delay_s: float
-    """How long after a command the measured motion follows: all delays plus the lag of the base."""
+    """The time from a command to the measured motion, with all delays and the lag of the base."""
     stopping_m: float
     """The distance from the zero command to the standstill."""
     stopping_s: float
     """The time from the zero command to the standstill."""
     base_timeout_s: float | None
-    """How long the base moves on without a command, None if longer than `quiet_s`."""
+    """The time that the base moves on without a command, None if longer than `quiet_s`."""
     quiet_s: float
     turn: Turned | None
     """None if the base cannot turn on the spot, like a car."""
@@ -201,7 +201,7 @@ class _Line:
 
 
 def measured(trial: Trial) -> Measured:
-    """Return the properties of a base, measured in `trial`: two straight motions, then a turn.
+    """Return the properties of a base from two straight motions, then a turn.
 
     Raises:
         Refused: The trial does not have these three motions or has too few samples; or the base
@@ -434,7 +434,7 @@ def _stopping_within(way: float, reaction_s: float, braking: float) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Round to two decimals, so that the value is readable."""
+    """Round to two decimals."""
     return round(value, 2)
 
 

@@ -1,9 +1,4 @@
-"""Checks of this computer and of its ROS graph; each problem comes with a cure.
-
-A Fast DDS process locks the file `NAME_el` while it uses the shared memory `NAME`. Linux releases
-the lock when the process ends, so a free lock proves that the owner is dead. Memory that another
-process still maps is kept nevertheless: that process may wait for messages there.
-"""
+"""Checks of this computer and of its ROS graph; each problem comes with a cure."""
 
 from __future__ import annotations
 
@@ -95,7 +90,7 @@ AHEAD_S: Final = 60.0
 def check_disk(folder: Path, *, is_used: bool = False) -> Iterator[Finding]:
     """Check the free space for recordings in `folder`, or in its nearest parent that exists.
 
-    If `is_used`, a daemon (perhaps of another user) records there: write access is not checked.
+    Write access is not checked if `is_used`: a daemon of another user may record there.
     """
     check = "disk"
     existing = _existing(folder)
@@ -156,7 +151,7 @@ def check_folders(*folders: Path) -> Iterator[Finding]:
 
 
 def check_descriptors() -> Iterator[Finding]:
-    """Check the limit of open files; a daemon without a free descriptor cannot accept a client."""
+    """Check the limit of open files."""
     check = "open files"
     _, limit = resource.getrlimit(resource.RLIMIT_NOFILE)  # a daemon raises its soft limit to it
     told = f"a process may open {limit} at a time"
@@ -190,8 +185,7 @@ def check_priority(fifo_priority: int) -> Iterator[Finding]:
 def _check_place(folder: Path) -> None:
     """Check that the folder exists or can be created, on a disk that can be written.
 
-    An existing folder need not be writable: it may belong to the daemon of another user, of which
-    this user is a client.
+    An existing folder need not be writable: it may be of another user's daemon.
 
     Raises:
         OSError: The folder cannot be used.
@@ -304,6 +298,8 @@ SETTLED_S: Final = 10.0
 SCARCE_SHARED_BYTES: Final = 16 << 20
 """Less free shared memory is a fault: a Fast DDS participant uses 0.6 MB, more for images."""
 
+# A Fast DDS process locks `NAME_el` while it uses the memory `NAME`. Linux releases the lock when
+# the process ends. Memory that another process maps is kept: that process may wait there.
 _LOCKED = re.compile(r"fastrtps_(?:[0-9a-f]{16}|port\d+)_el")
 
 

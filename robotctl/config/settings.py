@@ -1,12 +1,10 @@
-"""All settings with their defaults; read and change a configuration by its dotted keys, or a file.
+"""All settings with their defaults, by dotted keys or from a file.
 
 A file is YAML, nested or with dotted keys, plain or in the form of a ROS parameter file:
 
     tracking.k_y: 8.0                     robot:
     limits: {linear_mps: 0.3}               ros__parameters:
                                               tracking.k_y: 8.0
-
-Aliases are refused: with them, a file of a few lines can expand beyond the memory.
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ from robotctl.sim import SimParams
 
 @dataclass(frozen=True, slots=True)
 class RecordingParams:
-    """The parameters of recordings: topics, format, clips, and when old ones are removed.
+    """The parameters of recordings.
 
     A topic is recorded if `include` is empty or has a pattern that matches it, unless a pattern of
     `exclude` matches the topic. A clip is a short recording of one emergency stop or error.
@@ -295,7 +293,7 @@ def check_all(config: Config) -> None:
 
 
 def with_text(config: Config, key: str, text: str) -> Config:
-    """Return `config` with the dotted `key` set to the value that `text` means on a command line.
+    """Return `config` with the dotted `key` set to the value of a command line's `text`.
 
     Raises:
         ConfigError: There is no such key, or the value is not allowed.
@@ -496,7 +494,7 @@ def read_yaml(path: Path) -> Any:
     import yaml  # here: the import takes 15 ms, and most daemons have no configuration file
 
     class Loader(yaml.SafeLoader):
-        """Refuses aliases and duplicate keys; PyYAML would keep the last value of such a key."""
+        """Refuses aliases, which could expand beyond the memory, and duplicate keys."""
 
         def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
             if self.check_event(yaml.AliasEvent):

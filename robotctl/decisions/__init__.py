@@ -1,4 +1,4 @@
-"""The long-lived journal of decisions: who changed mode, parameters or software, for years.
+"""The journal of decisions, which is kept for years.
 
 - `journal`: its entries and files.
 - `log`: the writer.

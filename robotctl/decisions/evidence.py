@@ -19,7 +19,7 @@ RUNS: Final = "it runs"
 
 @dataclass(slots=True)
 class Evidence:
-    """What happened to one robot; `evidence --json` prints each field under the field's name.
+    """The history of one robot; `evidence --json` prints each field under the field's name.
 
     `software` and `configuration` are those of the last start. Each item of a list has `time_ns`
     since the epoch, and the `recording` of the daemon that ran then, "" if it made none.
@@ -45,8 +45,8 @@ class Evidence:
 def collect(entries: Sequence[Entry], since_ns: int = 0) -> Evidence:
     """Return the evidence in `entries` from `since_ns` (since the epoch) on.
 
-    A daemon is included unless it ended before `since_ns`. If the last daemon has no END entry, it
-    counts as running: the entries cannot show whether it was killed.
+    Daemons that ended earlier are left out. The last daemon counts as running if it has no END
+    entry.
     """
     found = Evidence()
     daemon: dict[str, Any] = {}
@@ -104,7 +104,7 @@ def _place(found: Evidence, entry: Entry) -> list[dict[str, Any]] | None:
 def _change(
     before: Mapping[str, Any], after: Mapping[str, Any], daemon: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return a dict: `by`, `first` (no value before), `changed` (key -> [old, new])."""
+    """Return `by`, `first` (no value before) and `changed` (key -> [old, new])."""
     keys = [*before, *(key for key in after if key not in before)] if before else []
     changed = {
         key: [before.get(key), after.get(key)] for key in keys if before.get(key) != after.get(key)

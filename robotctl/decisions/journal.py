@@ -1,9 +1,7 @@
 """The journal of decisions: lines of JSON that are appended under a lock, in numbered files.
 
-A line `opened` holds the signed SHA-256 of the earlier lines of its file and of the previous file
-(`robotctl.recording.seal`): the hash shows later whether a line was changed or removed. When a file
-is removed, its lines about sealed files are kept in file 0. Early versions wrote into each line the
-hash of the previous line (`prev`).
+A line `opened` has the signed SHA-256 of the earlier lines of its file and of the previous file
+(`robotctl.recording.seal`). File 0 keeps the lines about sealed files of the removed files.
 """
 
 from __future__ import annotations
@@ -33,26 +31,26 @@ MAX_TEXT: Final = 500
 """Limit on the characters of a text in an entry, such as a reason; longer texts are cut."""
 
 FILE_BYTES: Final = 1_000_000
-"""When a file has grown to this size, the next file is begun."""
+"""The size of a file at which the next file is begun."""
 
 MAX_FILE_BYTES: Final = 2 * FILE_BYTES
-"""Readers read no more than this of a file; robotctl does not write larger files."""
+"""Limit on the bytes that are read of a file."""
 
 MAX_KEPT_BYTES: Final = 256 << 20
-"""Readers read no more than this of file 0."""
+"""Limit on the bytes that are read of file 0."""
 
 YEAR_S: Final = 365.25 * DAY_S
 """The unit of `decisions.keep_years` in seconds."""
 
 KEPT_FILES: Final = 2
-"""The number of newest files that are never removed."""
+"""The number of newest files that are never removed, even if the clock is years ahead."""
 
 FOLDER: Final = "decisions"
 """The name of the journal's folder, in the state folder of the robot."""
 
 _NAME: Final = re.compile(r"decisions-(?!000000)\d{6}\.jsonl")
 _OLD_HASH_CHARACTERS: Final = 16
-_RESERVED: Final = ("time_ns", "kind", "prev")
+_RESERVED: Final = ("time_ns", "kind", "prev")  # `prev`: a hash that early versions wrote
 
 
 class DecisionKind(StrEnum):
@@ -157,12 +155,12 @@ def files_of(folder: Path) -> list[Path]:
 
 
 def kept_file(folder: Path) -> Path:
-    """Return the path of file 0, which keeps lines about sealed files when a file is removed."""
+    """Return the path of file 0, which keeps lines about sealed files."""
     return folder / _name(0)
 
 
 def entries_in(path: Path, *kinds: str) -> Iterator[Entry]:
-    """Yield the entries of a file whose kind is in `kinds`; if no kind is given, yield all entries.
+    """Yield the entries of a file that are of `kinds`, or all entries if no kind is given.
 
     Raises:
         OSError: The file cannot be read, or is not a regular file.
@@ -206,7 +204,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def last_file(folder: Path) -> Path:
-    """Return the newest file, or a new file if it is full. First complete a last line that is torn.
+    """Return the newest file, or a new file if it is full; complete a torn last line.
 
     Raises:
         OSError: The file cannot be written.
@@ -249,9 +247,8 @@ def append(path: Path, entries: Iterable[Entry]) -> None:
 def remove_oldest(folder: Path, keep_s: float, now_s: float) -> None:
     """Remove the oldest file if it was last written more than `keep_s` seconds ago.
 
-    Its lines about sealed files are kept in file 0. With `keep_s` 0 nothing is removed. One call
-    removes one file, but never one of the last KEPT_FILES: a clock that is years ahead must not
-    remove a journal.
+    Nothing is removed if `keep_s` is 0, and none of the last KEPT_FILES. Lines about sealed files
+    are kept in file 0.
 
     Raises:
         OSError: The file cannot be removed, or file 0 cannot be written.
@@ -269,15 +266,13 @@ def remove_oldest(folder: Path, keep_s: float, now_s: float) -> None:
 def digests(folder: Path) -> list[str]:
     """Return the SHA-256 of the whole lines of each of the last two files, the older file first.
 
-    Both files are first synced to the disk: in a power cut, no digest outlives its lines.
-
     Raises:
         OSError: A file cannot be read.
     """
     found = []
     for path in files_of(folder)[-2:]:
         with open_regular(path) as file:
-            os.fsync(file.fileno())
+            os.fsync(file.fileno())  # in a power cut, no digest outlives its lines
             found.append(_digest(file.read(MAX_FILE_BYTES)))
     return found
 
@@ -287,10 +282,7 @@ def _digest(content: bytes) -> str:
 
 
 def head_of(folder: Path) -> str:
-    """Return the digest of the journal's newest file, "" if there is none or it cannot be read.
-
-    Recordings store this digest, so that a check can find lines that were changed or removed later.
-    """
+    """Return the digest of the journal's newest file, "" if there is none or it cannot be read."""
     with suppress(OSError, IndexError):
         return digests(folder)[-1]
     return ""
@@ -307,7 +299,7 @@ class OpenedLine:
 
 @dataclass(slots=True)
 class LogContent:
-    """The entries of a journal, and sentences about the faults that its files show."""
+    """The entries of a journal, and the faults of its files in sentences."""
 
     files: list[Path] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
@@ -315,7 +307,7 @@ class LogContent:
 
     opened: list[OpenedLine] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
-    """Sentences about files that are missing or unreadable; callers add what else they find."""
+    """Sentences about files that are missing or unreadable."""
     notes: list[str] = field(default_factory=list)
     """Sentences about harmless findings: torn lines, and files that robotctl removed."""
     heads: set[str] = field(default_factory=set)
@@ -330,9 +322,9 @@ class LogContent:
 def read_log(folder: Path) -> LogContent:
     """Return the content of the journal in `folder`.
 
-    A line torn by a kill or a full disk causes a note. This function does not find entries that
-    were changed or removed from the end. To find them, compare the digests in each line of
-    `opened` with the `before` of that line, and the digests in recordings with `heads`.
+    `broken` and `notes` name missing and unreadable files, and torn lines. Other changed or removed
+    lines show in digests: compare those in `opened` with `before`, those of recordings with
+    `heads`.
     """
     log = LogContent(files_of(folder))
     numbers = [_number_of(path) for path in log.files]

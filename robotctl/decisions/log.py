@@ -30,7 +30,7 @@ DAY_BYTES: Final = 130_000
 """Limit on the bytes written in a day: about 500 entries; with RESERVE_BYTES, 50 MB a year."""
 
 RESERVE_BYTES: Final = 6_900
-"""Bytes a day beyond DAY_BYTES, for the MORE entries with the counts of what was not written."""
+"""Bytes a day beyond DAY_BYTES, for the counts of unwritten entries."""
 
 RESERVED: Final[dict[str, float]] = {
     DecisionKind.REQUEST: 0.5,
@@ -39,8 +39,7 @@ RESERVED: Final[dict[str, float]] = {
     DecisionKind.START: 0.25,
     DecisionKind.END: 0.25,
 }
-"""The share of DAY_BYTES that entries of a kind must leave free for other kinds: a flood of
-requests, or a daemon that crashes and restarts each second, must not crowd out the stops."""
+"""The share of DAY_BYTES that entries of a kind must leave free, above all for stops."""
 
 MAX_WAITING: Final = 1000
 """Limit on entries that wait while the disk hangs or is full; further ones are only counted."""
@@ -55,7 +54,7 @@ COUNTS_PERIOD_S: Final = 3600.0
 """The counts of unwritten entries are written at most once in this time."""
 
 END_S: Final = 2.0
-"""How long the end of the daemon waits for the disk, at most."""
+"""The longest wait for the disk at the end of the daemon."""
 
 _log = logging.getLogger(__name__)
 
@@ -63,8 +62,7 @@ _log = logging.getLogger(__name__)
 class DecisionLog:
     """Writes the journal of one robot. `add` may be called from any thread, and does not block.
 
-    A budget limits the file: DAY_BYTES a day on average, and at most DAY_BYTES in one burst.
-    Further entries are only counted, by kind; a later entry of the kind MORE has the counts.
+    Entries beyond DAY_BYTES a day are only counted by kind, in a later entry of the kind MORE.
     """
 
     def __init__(
@@ -167,10 +165,7 @@ class DecisionLog:
                 is_done = True
 
     def _write(self, entry: Entry) -> None:
-        """Write an entry, or only count it if it exceeds the budget.
-
-        A SOFTWARE or CONFIGURATION entry is skipped if `_is_known`.
-        """
+        """Write an entry, or only count it if it exceeds the budget."""
         if self._unqueued:
             unqueued, self._unqueued = self._unqueued, 0
             self._count(UNQUEUED, unqueued)

@@ -102,7 +102,7 @@ def drive(
     then: Iterable[Event] = (),
     closed: bool = True,
 ) -> list[Written]:
-    """Return what a daemon writes and publishes in `seconds` of driving a simulated robot.
+    """Return the journal entries and commands of a daemon in `seconds` of a simulated drive.
 
     The kernel first handles `requests`, by default one `drive_requested()`, and at the end `then`.
     If `closed` is False, the last snapshot is missing, as if the daemon had been killed.
@@ -175,8 +175,8 @@ def record(
 ) -> Path:
     """Make a recording in `folder`, and return the folder.
 
-    Log times follow the times of the journal. `clock` maps them to wall-clock times, so that a
-    test can set the clock. `beside(recorder, time_ns)`, called before each item, may record more.
+    `clock` maps the log times, which follow the journal, to wall-clock times. `beside(recorder,
+    time_ns)` is called before each item, and may record more.
     """
     parameters = {f"{PARAMETER_PREFIX}{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(

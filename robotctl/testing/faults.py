@@ -20,8 +20,7 @@ PAGE = 4096
 class FailingFile(DiskFile):
     """A disk that is full from write number `fail_at` (counted from 1) on.
 
-    From then on every write that needs new space fails, after it has put `torn_bytes` of its data
-    into the file. Existing data can still be overwritten, but gaps that were never written cannot.
+    Each write that needs new space then fails, after `torn_bytes` of its data are in the file.
     """
 
     def __init__(
@@ -61,7 +60,7 @@ class FailingFile(DiskFile):
 
 
 class GatedFile(DiskFile):
-    """A disk whose writes wait until `wait` returns."""
+    """A disk that calls `wait` before each write."""
 
     def __init__(self, path: Path, wait: Callable[[], object]) -> None:
         """Create `path`."""
@@ -69,7 +68,7 @@ class GatedFile(DiskFile):
         self._wait = wait
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
-        """Call `wait` of the constructor, then write."""
+        """Call `wait`, then write."""
         self._wait()
         super().write_at(parts, offset)
 
@@ -103,8 +102,8 @@ class VolatileFile(DiskFile):
     def after_power_cut(self, dice: random.Random) -> bytes:
         """Return a possible content of the file after a power cut now.
 
-        Its size is between the size at the last sync and the present size. Each page written since
-        the last sync has its old content, its new content, or new sectors followed by old sectors.
+        Each page that was written since the last sync is old, new or torn. The size is between the
+        sizes at the last sync and now.
         """
         size = dice.choice(
             [len(self.synced), len(self._cached), dice.randint(len(self.synced), len(self._cached))]
@@ -131,7 +130,7 @@ def record_boundaries(data: bytes) -> Iterator[int]:
 
 
 def mutated(data: bytes, dice: random.Random) -> bytes:
-    """Return `data` with one to three random defects: wrong, missing, random or repeated bytes."""
+    """Return `data` with one to three random defects."""
     damaged = bytearray(data)
     for _ in range(dice.randint(1, 3)):
         at = dice.randrange(len(damaged)) if damaged else 0

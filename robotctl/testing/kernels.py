@@ -133,7 +133,7 @@ def moving(params: KernelParams | None = None, ticks: int = 10) -> Bench:
 
 
 def stopping() -> Bench:
-    """Return a bench in MOVING that is ramping down, because IDLE was requested."""
+    """Return a bench in MOVING that ramps down."""
     bench = moving()
     bench.request(Mode.IDLE)
     assert bench.state.phase is Phase.STOPPING
@@ -183,10 +183,7 @@ def while_moving(bench: Bench) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """A simulated drive: its end, its duration, all events and all commands.
-
-    `pose` is the last pose of the robot by its odometry.
-    """
+    """A simulated drive; `pose` is the last pose by odometry."""
 
     ended: DriveEnded
     duration_s: float
@@ -238,10 +235,7 @@ def drive_simulated(
 
 
 def _schedule(rate_hz: float, odometry_rate_hz: float) -> Iterator[tuple[str, int]]:
-    """Yield kind and time [ns] of each input of 200 simulated seconds.
-
-    Odometry begins at 0 ms, ticks at 1 ms, each with its own period.
-    """
+    """Yield kind and time [ns] of each input of 200 simulated seconds."""
     due_ns = {"odometry": 0, "battery": 500_000, "tick": 1_000_000}
     period_ns = {
         "odometry": round(NS_PER_S / odometry_rate_hz),
