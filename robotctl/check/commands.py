@@ -58,7 +58,7 @@ def numbers_of(data: bytes) -> bytes:
 
 
 def is_zero(numbers: bytes) -> bool:
-    """Return whether the numbers command no motion, as negative zeros do not, either."""
+    """Return whether the numbers command no motion; a negative zero is a zero."""
     return numbers == STILL or not any(_NUMBERS.unpack(numbers))
 
 
@@ -77,10 +77,10 @@ LATE_NS: Final = NS_PER_S // 2
 """The tolerance for the time of a command, before and after its step."""
 
 MAX_LATE: Final = 20_000
-"""The maximum number of kept commands outside of their step."""
+"""The maximum number of kept commands outside of their step, the newest ones."""
 
 NEAR_NS: Final = 5 * NS_PER_S
-"""A command this close to the presence of another publisher may be from that one."""
+"""A command this close to another publisher's presence may be from that publisher."""
 
 LAST_ZEROS: Final = 2
 """The maximum number of zeros of a failing daemon after the last decision."""
@@ -107,7 +107,7 @@ RECENT: Final = 64
 """The maximum number of commands that one stall may withhold."""
 
 CUT: Final = 3
-"""The maximum number of commands at the end of a clip with a later decision."""
+"""The maximum number of commands whose decision is after a clip's end."""
 
 SEND_FAILED: Final = f"{PublishTwist.__name__} failed"
 """Part of the detail of a fault about a command that could not be sent."""
@@ -131,7 +131,7 @@ class DecidedCommand:
 
 
 class SentCommand(NamedTuple):
-    """A recorded command with its count `place`; `t_ns` is the time of the event before it."""
+    """A recorded command, the message number `place`; `t_ns` is the time of the event before."""
 
     numbers: bytes
     publish_ns: int
@@ -140,7 +140,7 @@ class SentCommand(NamedTuple):
 
 
 class OtherPublishers:
-    """The periods of other publishers of commands in the journal; steady times [ns]."""
+    """The periods with other publishers of commands, by the journal; steady times [ns]."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[int, float]] = deque(maxlen=10_000)
@@ -225,7 +225,7 @@ class CommandPairs:
         """Whether the last snapshot counts zeros without a decision."""
 
         self._number = 0
-        """The number of the last command that was decided in the journal or is in its counts."""
+        """The number of the last command in the journal or in its counts."""
 
         self._base = 0
         """The number of the last command before counting began, or 0."""
@@ -432,7 +432,7 @@ class CommandPairs:
         self.counts.old = self._lacking - self._lacking_recent
 
     def _may_end_with(self, message: SentCommand, later: int, is_own: bool) -> bool:
-        """Return whether a message, `later` numbers after the last decision, may have none."""
+        """Return whether a message `later` numbers after the last decision may have no decision."""
         after_ns = message.publish_ns - self._log_ns
         if not is_own:
             return after_ns > -JOURNAL_LAG_NS

@@ -291,7 +291,7 @@ class RecordingEnds:
             report.miss("its journal does not begin with a snapshot")
 
     def _check_end(self, ledger: Mapping[str, Mapping[str, int]]) -> None:
-        """Report if the recording was not closed with its last file."""
+        """Report a recording that continues after its last file."""
         recording = self._recording
         if recording.is_cut_off or recording.is_live or self._goes_on:
             return

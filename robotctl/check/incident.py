@@ -44,8 +44,8 @@ class IncidentKind(StrEnum):
 class Incident:
     """A step of the kernel that stopped the robot or refused a request; for KILL, the last step.
 
-    Times are steady [ns], but `log_ns` (time of recording) and `zero_ns` (first zero command after
-    it) are since the epoch. None means not recorded.
+    Times are steady [ns]; `log_ns` (time of recording) and `zero_ns` (first zero command after the
+    step) are since the epoch. None means not recorded.
     """
 
     kind: IncidentKind

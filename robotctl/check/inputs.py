@@ -55,13 +55,13 @@ from robotctl.recording.format.records import MAX_SEQUENCE
 from robotctl.recording.read.messages import Message
 
 UNHEARD_NS = NS_PER_S // 2
-"""The longest time in which messages are no inputs, in addition to stalls."""
+"""Messages may be lost for this time, in addition to a stall of the control loop."""
 
 GAP_NS = NS_PER_S // 10
-"""The most of the time between two messages that counts towards UNHEARD_NS."""
+"""Between two messages, at most this time counts towards UNHEARD_NS."""
 
 BEGIN_NS = 3 * NS_PER_S
-"""The longest time in which messages are no inputs at the begin."""
+"""Messages may be lost for this time at the begin."""
 
 MAX_WAITING = 100_000
 """The maximum number of messages, and of inputs, that wait; the oldest are dropped."""
@@ -151,13 +151,13 @@ AFTER_NS: Final = 2 * NS_PER_S
 """The longest time from the last journal entry to a recorded message."""
 
 FEW: Final = 10
-"""The maximum number of messages under way at the end, in addition to BURST."""
+"""The limit on messages under way at the end, at a rate of zero."""
 
 BURST: Final = 10.0
-"""The maximum number of messages under way, as a multiple of the mean rate's."""
+"""The factor of the mean rate in the limit on messages under way."""
 
 LOST: Final = 2
-"""The allowed excess of messages lost after the last input over those lost before."""
+"""This many more messages may be lost after the last input than before."""
 
 
 class Input(NamedTuple):
@@ -195,7 +195,7 @@ class InputPairs:
         """The part of `before_first` within UNFOUND_NS of the publisher's first input."""
 
         self.at_begin = 0
-        """Inputs without a message within EDGE_NS of the first input, before any with one."""
+        """Inputs without a message in the first EDGE_NS, before any input with a message."""
 
         self.differing = 0
         """Inputs whose message has another value."""
@@ -231,7 +231,7 @@ class InputPairs:
 
         self._first_ns = self._last_ns = self._newest = self._sent_ns = 0
         self._has_others = False
-        """Whether a message was sent later, with a lower number, by another publisher."""
+        """Whether another publisher sent a message later, with a lower number."""
 
     @property
     def has_one_publisher(self) -> bool:
@@ -476,7 +476,7 @@ class InputCheck:
         """Return the number of messages after the last input that were lost.
 
         Messages of the last EDGE_NS + `waited_ns` may be under way. Return 0 if nothing is known,
-        or after a report: of more than `most` lost messages, or too many under way for the rate.
+        or after a report of too many messages; `most` is the limit on lost ones.
         """
         pairs = self._pairs
         if not (pairs.paired and pairs.has_one_publisher and ending.is_own) or moment.clock_changed:

@@ -24,7 +24,7 @@ TOLERANCE: Final = 1e-9
 """The tolerance, absolute and relative, for floats that a C library rounded."""
 
 DIGITS: Final = 9
-"""The compared significant digits of a float between the results of two machines."""
+"""The number of significant digits in comparisons of two machines."""
 
 _FLOAT: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
 
@@ -117,7 +117,7 @@ class Report:
     violations: list[Violation] = field(default_factory=list)
     violation_count: int = 0
     missing: list[str] = field(default_factory=list)
-    """A sentence for each limit of the check; `notes` has how the rest was compared."""
+    """A sentence for each part that could not be checked."""
 
     notes: list[str] = field(default_factory=list)
     seal: str = ""
@@ -158,7 +158,7 @@ class Report:
     def miss(self, sentence: str, *, is_outside: bool = False) -> None:
         """Add a sentence about something that could not be checked.
 
-        Set `has_gaps`, unless the missing part `is_outside` of what was checked.
+        Set `has_gaps`, unless the missing part is outside of what was checked (`is_outside`).
         """
         note_missing(self.missing, sentence)
         self.has_gaps |= not is_outside

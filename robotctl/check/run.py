@@ -53,7 +53,7 @@ from robotctl.recording.read.whole_recording import VerifiedRecording, verify_re
 
 
 def file_groups(path: Path) -> list[list[Path]]:
-    """Return the files of `path` grouped by recording; the group named like `path` comes first.
+    """Return the files of `path` grouped by recording, the group with the name of `path` first.
 
     Unreadable files are in the first group.
 
@@ -123,7 +123,7 @@ class Comparisons:
             CommandCheck(report, topics, clock),
             ServiceChecks(report, topics, clock),
         )
-        """The comparisons that need no odometry without effects."""
+        """The comparisons that skip odometry without effects."""
 
         self._all = self._of_decisions + self._of_all
 

@@ -28,7 +28,7 @@ NEAR_NS: Final = NS_PER_S
 """The mode of a status must be in the journal within this time of the status."""
 
 MAX_WAITING: Final = 10_000
-"""How many statuses may wait for later journal entries, and how many modes are kept."""
+"""The maximum number of waiting statuses, and of kept modes."""
 
 
 @dataclass(slots=True)
@@ -41,9 +41,10 @@ class _ModeSpan:
 
 
 class ShownModes:
-    """Counts the statuses with a mode that the journal does not have within NEAR_NS of the status.
+    """Counts the statuses with a wrong mode, in `wrong`.
 
-    The count is `wrong`. Statuses near a change of the clock are not counted.
+    A mode is right if the journal has that mode within NEAR_NS of the status. Statuses near a
+    change of the clock are not counted.
     """
 
     def __init__(self, clock: ClockChanges) -> None:

@@ -124,7 +124,7 @@ class TickSchedule:
 
 
 CLOCK_NS = NS_PER_S // 4
-"""The smallest change of the offset between the clocks that counts."""
+"""Smaller changes of the offset between the clocks are ignored."""
 
 EXCUSES_NS = 2 * NS_PER_S
 """Wall-clock times are not compared within this time of a change."""
@@ -155,7 +155,7 @@ class ClockChanges:
 
     @property
     def note(self) -> str:
-        """A sentence about the settings of the clock, or ""."""
+        """The sentence for the report if the clock was set, else ""."""
         if not self._set:
             return ""
         often = "once" if len(self._set) == 1 else f"{len(self._set)} times"

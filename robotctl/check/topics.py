@@ -74,7 +74,7 @@ class RobotTopics:
         return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None
 
     def recorded(self, parameter: str, default: str, *types: str) -> InputTopic:
-        """Return the topic named by `parameter`; `name` is None unless recorded as of `types`."""
+        """Return the topic of `parameter`; `name` is None if no topic of `types` is recorded."""
         name = self.named_by(parameter, default)
         if self.types.get(name) in types:
             return InputTopic(name, self.types[name])
@@ -115,7 +115,7 @@ MAX_REPEATED: Final = 1_000
 class RepeatedLatched:
     """Counts the log times at which messages of a latched topic repeat earlier ones.
 
-    Each snapshot allows one such time, and so does each file.
+    The allowed number is that of the snapshots or of the files, the larger one.
     """
 
     def __init__(self, info: RecordingInfo) -> None:
@@ -146,7 +146,7 @@ class RepeatedLatched:
         return is_again
 
     def snapshot(self) -> None:
-        """Count a snapshot; each snapshot allows one more repeat."""
+        """Count a snapshot."""
         self._snapshots += 1
 
     @property

@@ -66,9 +66,10 @@ ENDS_OF_OPTIONS = ("--", "--ros-args")
 
 
 def behind_the_command(arguments: list[str]) -> list[str]:
-    """Move --robot and --json, if they stand before the command, to the end of its options.
+    """Move --robot and --json from before the command to the end of its options.
 
-    `--robot r2 topic list` becomes `topic list --robot r2`. Before another option, nothing moves.
+    `--robot r2 topic list` becomes `topic list --robot r2`. With another option before the command,
+    nothing moves.
     """
     at = 0
     while at < len(arguments):

@@ -337,9 +337,9 @@ def _service(
     user: str,
     has_from: bool = False,
 ) -> str:
-    """Return the [Service] section that runs robotctl with `words`, and with --recordings.
+    """Return the [Service] section of a unit that runs robotctl with `words`.
 
-    `has_from` tells that `words` name a folder of recordings already, the FROM of `sync`.
+    Unless `has_from`, or given in `words`, --recordings is added.
     """
     command = [str(Path(sys.executable).with_name("robotctl")), *words]
     if not (has_from or any(word.partition("=")[0] == "--recordings" for word in words)):

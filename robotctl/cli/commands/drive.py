@@ -184,7 +184,7 @@ _OWNERS = {
     "corner": "a rounded-square or a path",
     "angle": "an arc or a turn",
 }
-"""The motions for which an option is, for errors."""
+"""The motions that have an option, for errors."""
 
 
 def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:

@@ -40,8 +40,9 @@ MCAP = b"\x89MCAP0\r\n"
 
 KINDS = "use CSV with the header x,y, YAML with a list of [x, y], or a recording"
 
+# Python and YAML accept more, such as 0_3 and 1:30.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-"""A decimal number. Python and YAML accept more, such as 0_3 and 1:30."""
+"""A decimal number."""
 
 
 class _WrittenPoint(NamedTuple):

@@ -39,7 +39,7 @@ AFTER_OTHER_S: Final = 3.0
 """The time that a key stays held after another key's release, which ends all repeats [s]."""
 
 MAX_AT_ONCE: Final = 8
-"""More keys at once are pasted; the fastest repeat sends 5 in MAX_SILENCE_S."""
+"""More keys than this at once are pasted text; the fastest repeat sends 5."""
 
 
 class Wish(NamedTuple):
@@ -287,10 +287,10 @@ class Speeds:
         self._share = min(max(self._share * factor, self._least), 1.0)
 
     def velocity(self, wish: Wish) -> tuple[float, float]:
-        """Return the wanted velocity [m/s, rad/s]; a positive `left` turns left in reverse, too."""
+        """Return the wanted velocity [m/s, rad/s]."""
         return (
             wish.forward * self._share * self._linear_mps,
-            wish.left * self._share * self._angular_rps,
+            wish.left * self._share * self._angular_rps,  # also in reverse
         )
 
     def __str__(self) -> str:

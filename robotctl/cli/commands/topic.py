@@ -56,8 +56,7 @@ def _recorded(file: str, topic: str, type_name: str) -> tuple[TopicInfo, Iterato
 
     Raises:
         UsageError: The recording has no such topic, or it has several types.
-        UnreadableFile: The messages are not in CDR, or, after the last message, not everything can
-            be read.
+        UnreadableFile: The messages are not in CDR. After the last message: a part is unreadable.
     """
     from robotctl.recording import read_info, read_messages
     from robotctl.recording.table import choose_topic

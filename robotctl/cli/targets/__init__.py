@@ -1,1 +1,1 @@
-"""What commands work on: robots and their daemons, recordings, and the ROS graph."""
+"""The targets of commands: robots and their daemons, recordings, and the ROS graph."""

@@ -1,6 +1,6 @@
-"""End a drive when the command that waits for it is interrupted; hold the robot's lease.
+"""Wait for a drive, end it at an interruption, and hold the robot's lease.
 
-A command is interrupted by Ctrl-C, by a signal, or when the reader of its stdout closes the pipe.
+An interruption is Ctrl-C, a signal, or the end of stdout's reader.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Background(threading.Thread, Generic[T]):
 
 @contextmanager
 def interrupted_by(numbers: Iterable[signal.Signals]) -> Iterator[None]:
-    """Make each of `numbers` that would end this process raise KeyboardInterrupt, as Ctrl-C does.
+    """Raise KeyboardInterrupt at the signals `numbers`, unless they are ignored or handled.
 
     After the first such signal, all of them are ignored until the end of the block.
     """
@@ -107,7 +107,7 @@ POLL_S: Final = 0.05
 """The period of the checks for the end of a drive, or for a lease [s]."""
 
 REPORT_DEADLINE_S: Final = 2.0
-"""How long the daemon may take to report a drive after its end [s]."""
+"""The timeout of a drive's report after its end [s]."""
 
 _STDOUT: Final = 1
 

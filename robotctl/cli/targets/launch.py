@@ -167,7 +167,7 @@ END_S: Final = 10.0
 def live_target(robot: str) -> LiveTarget:
     """Return the process, namespace and ROS domain of a robot's running daemon.
 
-    The discovery range in the environment becomes the daemon's, unless it is set.
+    An unset discovery range in the environment is set to the daemon's.
 
     Raises:
         NoDaemon: No daemon runs.

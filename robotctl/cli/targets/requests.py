@@ -1,4 +1,4 @@
-"""The parameters that requests have in common: who asks, why, and under which lease."""
+"""The common parameters of requests: source, reason and lease."""
 
 from __future__ import annotations
 

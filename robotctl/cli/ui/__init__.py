@@ -1,1 +1,1 @@
-"""What is drawn and printed in a terminal, and the keys that it sends."""
+"""The output of commands to a terminal, and the keys from it."""

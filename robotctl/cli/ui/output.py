@@ -1,4 +1,4 @@
-"""What a command prints: its answer, its error, and a progress bar."""
+"""The output of a command: its answer, its error, and a progress bar."""
 
 from __future__ import annotations
 

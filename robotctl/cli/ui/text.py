@@ -1,4 +1,4 @@
-"""Text for a terminal: escaped, so that no file or daemon can send it control sequences."""
+"""Text for a terminal, without control sequences from files or daemons."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from robotctl.base.text import printable as printable
 COLUMNS = 80
 
 UNLIMITED = 1 << 20
-"""The width without a terminal."""
+"""The width without a terminal [columns]."""
 
 _YEAR_10000_S = 253_402_300_800
 """The end of the year 9999, in seconds since the epoch."""

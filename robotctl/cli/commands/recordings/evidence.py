@@ -1,4 +1,4 @@
-"""evidence: report who changed what, which stops there were, and what proves both."""
+"""evidence: report changes, stops, and their proofs."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def evidence(
 def _recordings(
     robot: str, told: Evidence, found: Evidence, elsewhere: Path | None, since_ns: int
 ) -> Iterator[dict[str, Any]]:
-    """Yield each recording in the journal of decisions, then the robot's others beside these.
+    """Yield the recordings in the journal of decisions, then the robot's other recordings.
 
     `told` has the facts of the whole journal, `found` those since `since_ns`. An earlier recording
     is left out, unless `found` names it. A recording that is missing at its path is searched in

@@ -244,7 +244,7 @@ class SyncPace:
         self._robot = robot
         self._ended = threading.Event()
         self._look_s = self._free_s = time.monotonic()
-        """When to ask the daemon for its mode again, and when the limit allows more bytes."""
+        """The next times to ask the daemon for its mode, and to send more bytes."""
 
     def __enter__(self) -> Self:
         """Ask the daemon for its mode once.

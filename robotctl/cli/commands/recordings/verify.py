@@ -261,7 +261,7 @@ def _recording_object(found: VerifiedRecording, heads: KnownHeads) -> dict[str, 
 def _summary_object(
     found: Sequence[VerifiedRecording], head: str, heads: KnownHeads
 ) -> dict[str, Any]:
-    """Return the summary of all recordings: their chain, the head, and the unproved."""
+    """Return the summary of all recordings: their chain, the head, and the limits of the proof."""
     from robotctl.recording.read.whole_file import SealState
     from robotctl.recording.read.whole_recording import check_chain, find_head
 

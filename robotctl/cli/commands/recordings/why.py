@@ -1,4 +1,4 @@
-"""why: explain what led to the last stop, refusal or fault."""
+"""why: explain the last stop, refusal or fault."""
 
 from __future__ import annotations
 
