@@ -1,8 +1,6 @@
-"""Files on the disk: access rights, output that appears when complete, writes at an offset.
+"""Files of recordings on the disk: access rights, atomic output, writes at an offset.
 
-A recording is readable by its owner, or by the group as well; never by other users. The umask has
-no effect. Files made from a recording (`metadata.yaml`, clips, repaired and recovered files) are
-shared with the group if the recording is.
+Only the owner of a recording and, if it is shared, its group may read it and files made from it.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ _GROUP_READS = {False: 0o640, True: 0o750}
 
 
 def open_private(path: Path, flags: int) -> int:
-    """Open a file. With O_CREAT in `flags`, a new file is accessible to its owner only.
+    """Open a file. With O_CREAT in `flags`, only its owner may access it.
 
     Raises:
         OSError: The file cannot be opened.
@@ -124,12 +122,12 @@ def size_of(path: Path) -> int:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what caused the error, as a phrase for an error text."""
+    """Return the cause of the error as a phrase for an error text."""
     return (error.strerror if isinstance(error, OSError) else None) or repr(error)
 
 
 def cure_of(error: BaseException) -> str:
-    """Return what a user can do about the error, as a phrase for an error text."""
+    """Return advice about the error as a phrase for an error text."""
     if isinstance(error, MemoryError):
         return _CURES[errno.ENOMEM]
     if isinstance(error, OSError) and error.errno is not None:
@@ -141,7 +139,7 @@ def cure_of(error: BaseException) -> str:
 def replaced_file(target: Path) -> Iterator[IO[bytes]]:
     """Yield a file that replaces `target` at the end of the block, unless the block raises.
 
-    The group may read the file if it may read the folder of `target`. No link is replaced.
+    The group may read the file if it may read the folder of `target`.
 
     Raises:
         OSError: The file cannot be written, or `target` is not a regular file.
@@ -168,10 +166,10 @@ def replaced_file(target: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def atomic_output(target: Path, source: Path) -> Iterator[Path]:
-    """Yield a path at which the block creates a file or folder; then rename that to `target`.
+    """Yield a path for the block's new file or folder, which then becomes `target`.
 
-    If the block raises, nothing remains. The path is in a hidden, private folder next to `target`;
-    a kill leaves that folder behind. The group may read the result if it may read `source`.
+    If the block raises, nothing remains. A kill leaves a hidden folder next to `target`. The group
+    may read `target` if it may read `source`.
 
     Raises:
         Refused: `target` exists already, or cannot be written.
@@ -279,10 +277,7 @@ def _sync(path: Path) -> None:
 
 
 class DiskFile:
-    """A file on disk that is locked while it is open; a new file is private to its owner.
-
-    Each `write_at` is one `pwritev` if possible.
-    """
+    """A file that is locked while it is open. A new file is private to its owner."""
 
     def __init__(self, path: Path, *, new: bool = True) -> None:
         """Create `path`, which must not exist, or open it if not `new`.

@@ -12,8 +12,7 @@ from robotctl.messages.cdr import ENCAPSULATION, LITTLE_ENDIAN
 
 TOPIC = "robotctl/journal"
 SHADOW_TOPIC = "robotctl/shadow"
-"""In files of earlier versions: the journal of a second kernel that did not drive. Readers do not
-treat this topic as the journal."""
+"""In files of earlier versions: the journal of a second kernel, which did not drive."""
 
 MAX_TEXT_BYTES = 256 << 10
 """Maximum size of the JSON of an entry. A request to the kernel has at most 64 kB."""
@@ -46,15 +45,12 @@ MAX_NAME_BYTES = 255
 
 
 class _Layouts(dict[int, struct.Struct]):
-    """The layout of an entry, by the size of its name. Each is created when it is first needed.
-
-    A layout has encapsulation (CDR, little endian), seq, t_ns, kind, size of the name, name, and
-    size of the data. The data follow.
-    """
+    """The layout of an entry up to its data, by the size of its name."""
 
     def __missing__(self, name_bytes: int) -> struct.Struct:
         if not 0 < name_bytes <= MAX_NAME_BYTES:
             raise KeyError(name_bytes)
+        # encapsulation, seq, t_ns, kind, size of the name, name, size of the data
         padding = -name_bytes % 4
         self[name_bytes] = struct.Struct(f"<4sQqBxxxI{name_bytes - 1}sx{padding}xI")
         return self[name_bytes]
@@ -75,11 +71,8 @@ def encode(entry: JournalEntry) -> bytes:
 
 
 def chained(serialized: bytes, crc: int) -> int:
-    """Return the CRC-32 of a journal including this entry; `crc` is the CRC before the entry.
-
-    Zeros at the end of the entry are left out, because DDS pads messages with zeros.
-    """
-    return crc32(serialized.rstrip(b"\0"), crc)
+    """Return the CRC-32 of a journal up to this entry; `crc` is the CRC before the entry."""
+    return crc32(serialized.rstrip(b"\0"), crc)  # DDS pads messages with zeros
 
 
 def decode(serialized: bytes) -> JournalEntry:

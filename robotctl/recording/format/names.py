@@ -38,14 +38,14 @@ EVENT_RECORD = "robotctl.event"
 """One event of the recording, written as it happens: see `recorded_events`."""
 
 LEDGER_RECORD = "robotctl.ledger"
-"""The loss ledger: message counts since the recording began, one JSON object per topic. Written
-when a file is finished. Messages counted as queued arrived while the file was being finished."""
+"""The loss ledger of a finished file: message counts by topic since the recording began, in
+JSON."""
 
 CLIP_RECORD = "robotctl.clip"
-"""In a clip: the recording that it was cut from, the event that it is about, what is missing."""
+"""In a clip: its source, its event, and what is missing."""
 
 RECOVERY_RECORD = "robotctl.recovery"
-"""In a recovered file: the file it was made from, and what is lost."""
+"""In a recovered or repaired file: what is lost."""
 
 CONVERSION_RECORD = "robotctl.conversion"
 """In a converted file: the files it was made from, and what is missing."""

@@ -1,7 +1,6 @@
-"""Which effects of the kernel a recorder stores as events, and the event message of Foxglove.
+"""The effects of the kernel that become events, and the event message of Foxglove.
 
-Readers of a recording do not import this module, because it imports the kernel. No ROS package has
-`foxglove_msgs/msg/Event`; https://docs.foxglove.dev/docs/sdk/schemas/event specifies it.
+The message is specified at https://docs.foxglove.dev/docs/sdk/schemas/event.
 """
 
 from __future__ import annotations
@@ -30,10 +29,9 @@ _NONE: Final[Mapping[str, float]] = MappingProxyType({})
 def noted_event(
     effect: Effect, log_ns: int, true_figures: Mapping[str, float] = _NONE
 ) -> RecordedEvent | None:
-    """Return the event that a recorder stores for an effect, None if it stores none.
+    """Return the event to record for an effect, None for an effect without one.
 
-    `true_figures` are the true errors of a simulated drive, by their names in `RecordedEvent`.
-    Values that are not finite are left out.
+    `true_figures` has the true errors of a simulated drive, by their names in `RecordedEvent`.
     """
     if isinstance(effect, ModeChanged) and effect.mode in NOTED_MODES:
         return RecordedEvent(NOTED_MODES[effect.mode], log_ns, effect.reason)

@@ -1,8 +1,4 @@
-"""Events of a recording: emergency stop, error, mark and end of a drive, as MCAP metadata records.
-
-The journal has these events too, among a million other entries. Readers find the metadata records
-through the summary, also in a file that is growing or whose writer was killed.
-"""
+"""The events of a recording as MCAP metadata records, which the summary lists."""
 
 from __future__ import annotations
 
@@ -17,7 +13,7 @@ from robotctl.recording.format.names import EVENT_RECORD, EventKind
 from robotctl.recording.format.records import MAX_TIME_NS
 
 MAX_LAPS = 1_000_000
-"""Limit on the laps of a drive: robotctl writes no record with more laps."""
+"""Maximum number of laps in a record."""
 
 ERRORS = (
     "cross_track_max_m",
@@ -31,7 +27,7 @@ ERRORS = (
     "true_heading_max_rad",
     "true_closure_m",
 )
-"""Names of a drive's tracking errors in a metadata record, which lacks the unknown ones."""
+"""Names of a drive's tracking errors in a metadata record. Unknown errors are left out."""
 
 _DRIVE_FIGURES = (*ERRORS, "drive_s")
 
@@ -40,9 +36,8 @@ _DRIVE_FIGURES = (*ERRORS, "drive_s")
 class RecordedEvent:
     """One event; `log_ns` is its time [ns since the epoch].
 
-    The event at the end of a drive has the drive's `laps`, duration `drive_s` [s] and errors (see
-    kernel.types.DriveReport); unknown values are None. The `true_*` errors, which odometry cannot
-    measure, are only known if the daemon simulated the robot.
+    Only the end of a drive has `laps`, a duration and errors (see kernel.types.DriveReport).
+    Unknown values are None. The `true_*` errors are only known of a simulated robot.
     """
 
     kind: EventKind
@@ -88,7 +83,7 @@ class RecordedEvent:
 
 
 def events_in(metadata: Iterable[Metadata]) -> list[RecordedEvent]:
-    """Return the events in `metadata`, in its order; skip other records and unreadable events."""
+    """Return the readable events in `metadata`, in its order."""
     events = []
     for record in metadata:
         if record.name == EVENT_RECORD:

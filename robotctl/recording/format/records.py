@@ -1,8 +1,4 @@
-"""The parts of the MCAP format that robotctl writes: records, and the bytes of a chunk.
-
-Specification: https://mcap.dev/spec. The `mcap` package packs the records, except those written
-per message or per chunk (message, message index, head of a chunk).
-"""
+"""The records of MCAP as robotctl writes them. Specification: https://mcap.dev/spec."""
 
 from __future__ import annotations
 
@@ -25,7 +21,7 @@ _TWO_PARTS = re.compile(r"([a-z][a-z0-9_]*)/([A-Z][A-Za-z0-9]*)")
 def type_name_of(channel: Channel, schema: Schema | None) -> str:
     """Return the message type of a channel, "" if the channel has no schema.
 
-    `pkg/T`, which some tools write for ROS 2 messages, becomes `pkg/msg/T`.
+    In CDR, the type `pkg/T` of some tools becomes `pkg/msg/T`.
     """
     name = schema.name if schema else ""
     if channel.message_encoding != "cdr":
@@ -74,7 +70,7 @@ def record_bytes(record: McapRecord) -> bytes:
 
 
 def room_head(start: int, end: int) -> bytes:
-    """Return the head of a record that only reserves the bytes from `start` to `end` of a file."""
+    """Return the head of a record that reserves the bytes from `start` to `end` of a file."""
     return RECORD_HEAD.pack(ROOM_OPCODE, end - start - RECORD_HEAD_BYTES)
 
 
@@ -82,9 +78,8 @@ def room_head(start: int, end: int) -> bytes:
 class Chunk:
     """Messages to write as one MCAP chunk.
 
-    `parts` are the chunk's records as they will be stored (compressed or not). `indexes` maps each
-    channel with messages to an array('Q') that alternates log time [ns] and offset in the
-    uncompressed chunk. `start_ns` and `end_ns` are the lowest and highest log time [ns].
+    `parts` are the records as stored. `indexes` has, by channel, log time [ns] and offset in the
+    uncompressed chunk of each message, alternately. `start_ns` and `end_ns` are log times.
     """
 
     parts: Sequence[Buffer]
@@ -122,7 +117,7 @@ class PlacedChunk(NamedTuple):
 
 
 def place(chunk: Chunk, offset: int) -> PlacedChunk:
-    """Return the bytes and the index entry of a chunk that is to be written at `offset`."""
+    """Return the bytes and the index entry of `chunk` at the offset `offset` of a file."""
     compression = chunk.compression.encode()
     stored_size = chunk.stored_size
     head = (

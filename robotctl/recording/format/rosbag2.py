@@ -1,9 +1,4 @@
-"""rosbag2's layout: a folder, its `metadata.yaml` (version 9), and the same text in each file.
-
-The text is formatted as rosbag2 of Jazzy does, so that `ros2 bag info` and `ros2 bag play` accept
-the folder. No YAML library is used, because its emitter would hold the interpreter lock for 50 ms
-whenever a new file begins.
-"""
+"""The folder and `metadata.yaml` (version 9) of rosbag2, formatted as in Jazzy."""
 
 from __future__ import annotations
 
@@ -31,6 +26,7 @@ _MAX_METADATA_CHARACTERS = 4 << 20
 _NO_START_NS = 2**63 - 1
 """What rosbag2 writes as the start of a recording without messages."""
 
+# A YAML parser needs a second for 1 MB.
 # With possessive quantifiers (`*+`) the search time is proportional to the length of any text.
 _FILE_LIST = re.compile(r"^ *+relative_file_paths:\n((?: *+- .*+(?:\n|\Z))++)", re.MULTILINE)
 _COUNT = r"message_count: *+(\d{1,18}) *+$"
@@ -46,9 +42,9 @@ _QOS_LINE = re.compile(r"(- | {2,})[a-z_]+:( [\w.+-]+)?")
 
 @dataclass(frozen=True, slots=True)
 class BagFile:
-    """One file of a bag; times in nanoseconds since the epoch.
+    """One file of a bag. Times are in ns since the epoch.
 
-    `counts` maps each topic's position in the bag's list of topics to its number of messages.
+    `counts` has message counts by the topic's position in the bag's list of topics.
     """
 
     name: str
@@ -124,8 +120,7 @@ def _metadata_in(folder: Path) -> Path:
 def entries_of(folder: Path) -> list[Path]:
     """Return the files and folders in the folder of a recording.
 
-    In a copy by an earlier `robotctl sync`, each file is in a subfolder named by its hash. Such
-    files are included; of several with the same name, only the newest is.
+    Files in subfolders named by a hash, as an earlier `robotctl sync` made them, are included.
 
     Raises:
         OSError: A folder cannot be listed.
@@ -142,10 +137,9 @@ def entries_of(folder: Path) -> list[Path]:
 
 
 def files_in(text: str) -> list[str]:
-    """Return the file names in the text of a `metadata.yaml`; [] if it has no list of files.
+    """Return the file names in the text of a `metadata.yaml`, [] without a list of files.
 
-    The list is only found if each line has one name, as rosbag2 and robotctl write it. A YAML
-    parser would find other forms too, but needs a second for 1 MB.
+    The list is found only if each line has one name, as rosbag2 and robotctl write it.
     """
     block = _FILE_LIST.search(text)
     if block is None:
@@ -155,12 +149,12 @@ def files_in(text: str) -> list[str]:
 
 
 def message_counts_in(text: str) -> dict[str, int]:
-    """Return the message count of each file, by file name, from the text of a `metadata.yaml`."""
+    """Return the message counts by file name in the text of a `metadata.yaml`."""
     return {Path(name.strip("\"' ")).name: int(count) for name, count in _FILE_COUNT.findall(text)}
 
 
 def topic_counts_in(text: str) -> dict[tuple[str, str], int]:
-    """Return the message count by topic name and type from the text of a `metadata.yaml`."""
+    """Return the message counts by topic name and type in the text of a `metadata.yaml`."""
     counts: dict[tuple[str, str], int] = {}
     for name, kind, count in _TOPIC_COUNT.findall(text):
         key = _unquoted(name), _unquoted(kind)
@@ -174,6 +168,7 @@ def total_count_in(text: str) -> int:
     return int(found[1]) if found else 0
 
 
+# A YAML library would hold the interpreter lock for 50 ms whenever a new file begins.
 def _body(topics: Iterable[Topic], files: Sequence[BagFile]) -> list[str]:
     with_messages = [file for file in files if file.message_count]
     start_ns = min((file.start_ns for file in with_messages), default=_NO_START_NS)
@@ -247,7 +242,7 @@ def _quoted(text: str) -> str:
 
 @lru_cache(maxsize=256)
 def _qos_lines(text: str) -> Sequence[str]:
-    """Return the lines of a YAML list of QoS profiles; () for other text, which readers refuse."""
+    """Return the lines of a YAML list of QoS profiles, () for other text."""
     lines = text.rstrip().split("\n")
     if not lines[0].startswith("- ") or not all(map(_QOS_LINE.fullmatch, lines)):
         return ()

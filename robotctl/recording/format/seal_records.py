@@ -1,7 +1,6 @@
 """The records of a seal: a hash chain over the bytes of a recording, and its signatures.
 
-Their opcodes are those that MCAP leaves to applications, so other readers skip the records. An
-opening names the keys of a file and the previous file. A link has a signature and this digest:
+A link has a signature and this digest:
 
     digest = SHA-256(digest of the previous link + SHA-256(the bytes since that link's offset))
 
@@ -44,7 +43,7 @@ class LinkKind(IntEnum):
     """In the summary: the newest link, which each commit overwrites."""
 
     REPAIRED = 3
-    """An unsigned link: it marks that a repair has written the bytes behind it."""
+    """An unsigned mark: a repair has written the bytes behind it."""
 
 
 def chained(before: bytes, hashed: bytes) -> bytes:
@@ -56,8 +55,8 @@ def chained(before: bytes, hashed: bytes) -> bytes:
 class Link:
     """The digest of the first `covered` bytes of a file, and its signature.
 
-    `number` counts the links of kind LINK in the file from 1; a link of kind HEAD has the number of
-    the next LINK. `time_ns` is the wall time of the signature, in nanoseconds since the epoch.
+    `number` counts the links of kind LINK in the file from 1; a HEAD has the number of the next
+    LINK. `time_ns` is the time of the signature [ns since the epoch].
     """
 
     kind: LinkKind

@@ -1,4 +1,4 @@
-"""What a file stores about a topic (type, definition, QoS), and the message counts of a topic."""
+"""The description and the message counts of a topic."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ LATCHED_QOS = "durability: transient_local"
 class Topic:
     """A topic as a file describes it.
 
-    `definition` is the ros2msg text, "" if unknown. `offered_qos` is the YAML list that rosbag2
-    writes, one entry per publisher.
+    `definition` is ros2msg text or "". `offered_qos` is rosbag2's YAML list, one entry per
+    publisher.
     """
 
     name: str
@@ -61,12 +61,9 @@ class Topic:
 
 
 class TopicStats(NamedTuple):
-    """The MessageCounts of one topic; `bytes` counts the data of received messages.
+    """The MessageCounts of one topic. `bytes` counts the data of received messages."""
 
-    The first fields are the counters in the order of MessageCounts. The event loop creates one
-    object per topic for each `status` request, and a data class would take 1.3 times as long.
-    """
-
+    # In the order of COUNTERS. Creating a data class would take 1.3 times as long.
     received: int = 0
     written: int = 0
     queued: int = 0
@@ -105,7 +102,7 @@ _COUNTS = (*COUNTERS, "bytes")
 
 
 def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
-    """Return the loss ledger, the values of a metadata record: counts in JSON by topic name."""
+    """Return the loss ledger: counts in JSON by topic name."""
     ledger: dict[str, str] = {}
     for stats in by_topic(topics):
         # A topic has a second type if a node publishes one.
@@ -115,7 +112,7 @@ def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
 
 
 def read_ledger(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, int]]:
-    """Return the loss ledger in `metadata`, counts by topic; {} if the file was not closed."""
+    """Return the counts by topic of the loss ledger in `metadata`, {} without a ledger."""
     ledger = {}
     for topic, text in metadata.get(LEDGER_RECORD, {}).items():
         try:

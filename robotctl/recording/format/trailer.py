@@ -32,8 +32,7 @@ _GROUPS = (
     Opcode.CHUNK_INDEX,
     Opcode.STATISTICS,
 )
-"""The groups of the summary, in file order. Those that each chunk changes come last, so that a
-commit that adds only a chunk rewrites only the end of the summary."""
+"""The groups of the summary in file order. Those that each chunk changes must come last."""
 
 _CRC = struct.Struct("<I")
 FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
@@ -44,8 +43,8 @@ FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
 class WrittenFile:
     """The parts of a valid file without attachments that a writer needs to continue it.
 
-    `data_end` is the offset of the DataEnd record, `data_crc` the checksum in that record. `groups`
-    has the records of the summary, concatenated, by opcode.
+    `data_crc` is the checksum in the DataEnd record at `data_end`. `groups` has the summary's
+    records, concatenated, by opcode.
     """
 
     data_end: int
@@ -69,7 +68,7 @@ class TrailerState:
     """Bytes of the groups that only grow: all but the statistics."""
 
     seal: bytes = b""
-    """The newest link of the seal: a record behind the statistics; empty if there is none."""
+    """The newest link of the seal as a record; empty if there is none."""
 
     @property
     def kept_bytes(self) -> int:
@@ -84,7 +83,7 @@ class Trailer(NamedTuple):
     """The DataEnd record."""
 
     summary: list[Buffer]
-    """The groups of summary records, in the order of `_GROUPS`; then the seal's record, if any."""
+    """The records of the summary in file order, with that of the seal at the end."""
 
     offsets: bytes
     """The summary offsets."""
@@ -171,7 +170,7 @@ class Summary:
             self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
 
     def go_back_to(self, state: TrailerState | None) -> None:
-        """After a failed write, restore the counts and times in `state`; None sets them to 0."""
+        """Restore the counts and times in `state`, or set them to 0 for None."""
         counted = None
         if state is not None:
             content = BytesIO(state.statistics[RECORD_HEAD_BYTES:])
@@ -181,10 +180,7 @@ class Summary:
         self.end_ns = counted.message_end_time if counted else 0
 
     def state(self, data_end: int, data_crc: int, seal: bytes = b"") -> TrailerState:
-        """Return the current state; the data ends at `data_end` and has the CRC `data_crc`.
-
-        `seal` is the record of the newest link of the seal; this link covers all data.
-        """
+        """Return the current state for data that ends at `data_end` with the CRC `data_crc`."""
         statistics = Statistics(
             attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],
             channel_count=self._numbers[Opcode.CHANNEL],

@@ -1,4 +1,4 @@
-"""The files of one recording folder, in rosbag2's layout: messages, topics, metadata.
+"""Write the files of one recording folder in rosbag2's layout.
 
 The event loop creates the BagWriter and reads its properties; the writer thread calls the rest.
 """
@@ -43,8 +43,8 @@ from robotctl.recording.write.recorder_options import RecorderOptions
 class RecordingFile:
     """Writer of one file. Not thread-safe.
 
-    `channels` may grow; the id of a channel is its position in `channels`. Every method may raise
-    OSError; after that only `abandon` may be called.
+    `channels` may grow; a position in it is the channel's id. After an OSError, which any method
+    may raise, only `abandon` may be called.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class RecordingFile:
         metadata: Mapping[str, str],
         channels: Sequence[ChannelState],
     ) -> None:
-        """Create the file and sync it, so that it is valid. After an error there is no file."""
+        """Create a valid file on the disk. After an error there is no file."""
         self.path = path
         self._channels = channels
         self._encoder = ChunkEncoder(options.compression, options.compression_level)
@@ -88,12 +88,12 @@ class RecordingFile:
 
     @property
     def size(self) -> int:
-        """Bytes of the file, without the room that is reserved between data and trailer."""
+        """Bytes of the file, without the free room in it."""
         return self._mcap.size
 
     @property
     def summary(self) -> Summary:
-        """The summary, which grows with the number of chunks."""
+        """The summary of the file so far."""
         return self._mcap.summary
 
     def begin_seal(self) -> None:
@@ -115,7 +115,7 @@ class RecordingFile:
         self._synced = False
 
     def write_topics(self) -> None:
-        """Commit the topics that were added to `channels`, including those without messages."""
+        """Write the topics that were added to `channels`, even without messages."""
         if self._announce_topics():
             self._mcap.commit()
             self._synced = False
@@ -203,16 +203,16 @@ class RecordingFile:
 
 
 MAX_SHARE: Final = 0.25
-"""Maximum share of a file for repeated latched messages: they must not fill a new file at once."""
+"""Maximum share of a file for repeated latched messages."""
 
 
 def repeats(
     channels: Sequence[ChannelState], newest_ns: int, split_bytes: int
 ) -> list[PlainMessage]:
-    """Return the last latched message of each publisher, to be repeated in a new file.
+    """Return the latched messages that a new file repeats.
 
-    `newest_ns` replaces the log times unless it is 0. If the messages together exceed MAX_SHARE of
-    `split_bytes`, only the smallest are returned; the rest is counted in `not_repeated`.
+    `newest_ns` replaces the log times unless it is 0. Beyond MAX_SHARE of `split_bytes`, the
+    largest messages are left out and counted in `not_repeated`.
     """
     latched = [
         (channel, message.data, newest_ns or message.log_ns, message.publish_ns, message.sequence)
@@ -230,7 +230,7 @@ def repeats(
 
 
 METADATA_PERIOD_S = 10.0
-"""Maximum age of the counts in `metadata.yaml`; the counts in an MCAP file are always current."""
+"""Maximum age of the counts in `metadata.yaml`."""
 
 MAX_EVENTS = 1000
 """Maximum number of events per file: each later event rewrites the summary, which has them all."""
@@ -240,10 +240,10 @@ MAX_INDEX_BYTES = 8 << 20
 
 
 class BagWriter:
-    """Writer of the files of one folder: writes chunks, and begins a new file when one is full.
+    """Writer of the files of one folder. Not thread-safe.
 
-    Not thread-safe. `channels` may grow; the id of a channel is its position in `channels`. Every
-    method may raise OSError; after that only `abandon` may be called.
+    `channels` may grow; a position in it is the channel's id. After an OSError, which any method
+    may raise, only `abandon` may be called.
     """
 
     def __init__(
@@ -257,9 +257,8 @@ class BagWriter:
     ) -> None:
         """Create the first file in `folder`, which must exist.
 
-        `metadata` is called when a file begins and returns what the file stores. `on_split` is
-        called with the path of each later file. When a file is full, the next file begins; but if
-        `on_full` is given, it is called instead, with the path of the full file, once per file.
+        `metadata` returns the values to store in each new file. `on_split` gets the path of each
+        later file. `on_full` gets the path of each full file; without it, the next file begins.
         """
         self._folder = folder
         self._options = options
@@ -313,7 +312,7 @@ class BagWriter:
         self._file.begin_seal()
 
     def write_topics(self) -> None:
-        """Write the topics added since the last call, even those that have no messages yet."""
+        """Write the topics added since the last call, even without messages."""
         self._file.write_topics()
 
     def write_event(self, event: RecordedEvent) -> None:
@@ -326,11 +325,8 @@ class BagWriter:
         self._file.sync()
 
     def split(self) -> None:
-        """Finish the current file; continue in a new file, which repeats the latched messages.
-
-        The current file is finished first: the new file's seal continues the current file's seal.
-        """
-        self._file.finish()
+        """Continue in a new file, which repeats the latched messages."""
+        self._file.finish()  # first, because the seal of the successor continues its seal
         successor = self._new_file()
         self._finished.append(self._file.describe())
         self._finished_bytes += self._file.size
@@ -365,15 +361,13 @@ class BagWriter:
             self._space_warning = f"{_mb(free)} left on the disk; recording stops at {_mb(stop)}"
 
     def list_new_topics(self) -> None:
-        """Write `metadata.yaml` if there are new topics: players read only topics listed there."""
+        """Write `metadata.yaml` if there are new topics."""
         if len(self._channels) > self._listed_topics:
             self._write_metadata()
 
     def refresh_metadata(self) -> None:
-        """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file.
-
-        Players rely on the list. Only the oldest file is checked: retention removes it first.
-        """
+        """Write `metadata.yaml` if it is older than METADATA_PERIOD_S or lists a removed file."""
+        # Retention removes the oldest file first.
         removed = bool(self._finished) and not self._is_there(self._finished[0])
         if removed or time.monotonic() >= self._metadata_due:
             self._write_metadata()
@@ -432,7 +426,7 @@ def begin_bag(
     on_split: Callable[[Path], None],
     on_full: Callable[[Path], None] | None,
 ) -> BagWriter:
-    """Create `folder`, and return a BagWriter that has these parameters.
+    """Create `folder`, and return its BagWriter.
 
     Raises:
         Refused: The folder cannot be written; if it was created, it is removed again.

@@ -1,10 +1,4 @@
-"""Buffers of packed MCAP records between the event loop and the writer thread.
-
-There is no lock: the event loop packs messages, the writer thread removes them by `take`. The
-packer, `Recorder.write`, writes a message at `end`, then the index entry, and increases `end` last.
-Data below `end` does not change until the buffer is recycled, so `take` is allowed at any time.
-Each step is one bytecode or one C call, and therefore atomic under the interpreter lock.
-"""
+"""Buffers of packed MCAP records between the event loop and the writer thread."""
 
 from __future__ import annotations
 
@@ -32,9 +26,7 @@ from robotctl.recording.format.records import (
 class PackedMessages:
     """Messages taken from a buffer, as the records of an uncompressed chunk.
 
-    `parts`, concatenated, are the records. `indexes` maps each channel with messages to an
-    array('Q') that alternates log time [ns] and offset in the chunk. `start_ns` and `end_ns` are
-    the lowest and highest log time [ns].
+    `parts`, concatenated, are the records. `indexes` and times are those of `Chunk`.
     """
 
     parts: Sequence[Buffer]
@@ -44,13 +36,15 @@ class PackedMessages:
 
 
 class PackBuffer:
-    """Memory for many messages. `Recorder.write` packs into it and uses its attributes directly.
+    """Memory for many messages, which `Recorder.write` packs.
 
-    A message that would end beyond byte `limit` does not fit; the packer then changes to another
-    buffer. The writer thread sets `limit` to 0 to cause that change. `unordered` has the channels
-    whose log times may step back: only these need a search for the lowest and highest log time.
+    A message must end by byte `limit`. The packer leaves a buffer whose `limit` is 0. `unordered`
+    has the channels whose log times may step back.
     """
 
+    # There is no lock: `Recorder.write` writes a message at `end`, then its index entry, and
+    # increases `end` last. Data below `end` does not change before `recycle`. Each step is one
+    # bytecode or one C call, and therefore atomic under the interpreter lock.
     __slots__ = ("_taken", "data", "end", "indexes", "limit", "size", "unordered")
 
     def __init__(self, capacity: int) -> None:
@@ -66,7 +60,7 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the index bytes to `size`, and return their number; the buffer must be full."""
+        """Add the index bytes to `size`, and return their number. The buffer must be full."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added
@@ -108,7 +102,7 @@ class PackBuffer:
         return result
 
     def drop(self) -> dict[int, int]:
-        """Discard the messages that were not taken; return the count of messages by channel."""
+        """Discard the messages that were not taken, and return their counts by channel."""
         end = self.end
         counts = {channel: _entries_below(index, end) for channel, index in enumerate(self.indexes)}
         for channel, count in counts.items():
@@ -125,12 +119,12 @@ class PackBuffer:
 
 
 class LargeMessage:
-    """One message too large for a PackBuffer. The message is kept by reference, not copied."""
+    """One message too large for a PackBuffer, kept by reference."""
 
     __slots__ = ("_message",)
 
     def __init__(self, message: PlainMessage) -> None:
-        """Keep the message. The caller ensures that its numbers fit the fields of the format."""
+        """Keep `message`. Its numbers must fit the fields of the format."""
         self._message = message
 
     @property
@@ -147,12 +141,12 @@ class LargeMessage:
         return pack([self._message])
 
     def drop(self) -> dict[int, int]:
-        """Discard the message; return the count of messages, which is 1, by channel."""
+        """Discard the message, and return its count by channel."""
         return {self._message[0]: 1}
 
 
 def _entries_below(index: array[int], end: int) -> int:
-    """Return how many items of `index` are for data below `end`; the packer may be adding more."""
+    """Return the number of items of `index` for data below `end`; the packer may add more."""
     count = len(index) & ~1
     while count and index[count - 1] >= end:
         count -= 2

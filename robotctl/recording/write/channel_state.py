@@ -21,9 +21,8 @@ MAX_MISSING = 64
 class SequenceGaps:
     """The gaps in the sequence numbers of one topic.
 
-    `expected` maps each publisher (its gid) to its next sequence number. If a message has that
-    number, `Recorder.write` increases the entry, otherwise it calls `note`. Sequence number 0 means
-    that the publisher does not count its messages.
+    `expected` has the next number by publisher (gid). `Recorder.write` increases it, or calls
+    `note` for a message with another number. Number 0 means that the publisher does not count.
     """
 
     expected: dict[bytes, int] = field(default_factory=dict)
@@ -36,7 +35,7 @@ class SequenceGaps:
     _missing: dict[bytes, set[int]] = field(default_factory=dict)
 
     def note(self, gid: bytes, sequence: int) -> None:
-        """Count the messages missing before `sequence`; one that arrives late is subtracted."""
+        """Count the messages missing before `sequence`, or subtract one that arrives late."""
         if sequence <= 0:
             return
         expected = self.expected.get(gid)
@@ -134,11 +133,10 @@ class ChannelState:
     def keep_latched(
         self, gid: bytes, data: Buffer, log_ns: int, publish_ns: int, sequence: int, room: int
     ) -> int:
-        """Keep `data` as the last message of publisher `gid`, in place of the previous one.
+        """Keep `data` as the last message of `gid`, and return the change in memory use [bytes].
 
-        Return the change in memory use [bytes]. If this change would exceed `room`, `data` is
-        only counted in `not_kept`, and the previous message is discarded, as it is out of date.
-        If MAX_LATCHED other publishers have a message, the oldest is discarded and counted.
+        If the change exceeds `room`, no message of `gid` is kept. Beyond MAX_LATCHED publishers,
+        the oldest message is discarded. Both are counted in `not_kept`.
         """
         if self.latched is None:
             return 0
@@ -160,7 +158,7 @@ class ChannelState:
         return len(own) - freed
 
     def latched_messages(self) -> list[LatchedMessage]:
-        """Return a copy of the latched messages; the writer thread may iterate over it."""
+        """Return a copy of the latched messages, for any thread."""
         return list(self.latched.values()) if self.latched else []
 
     @property

@@ -1,36 +1,6 @@
 """A writer whose MCAP file is complete and valid after every write.
 
-Each `commit` appends the new records to the data, followed by a complete trailer: DataEnd, summary,
-footer, magic. The next commit overwrites that trailer. So a reader can open the file at any moment,
-also after the process was killed, without a recovery step.
-
-A file that grows by many commits keeps room between data and trailer (below).
-
-A positioned write is not atomic: Linux checks for fatal signals between pages. A kill during a
-write can only damage the bytes that this write puts in the place of a trailer or behind it. The
-file may become invalid only while such a write is in progress.
-
-A trailer directly behind the data moves with each commit, and all of it is written to the disk
-again: after ten minutes, 50 times the recorded bytes. So a growing file has a record before the
-trailer that readers skip, the room. A commit changes only the end of the trailer.
-
-The file is valid between any two writes of a commit:
-
-(1) into the room: the new records without the head of the first, and a head for the rest of the
-room;
-(2) the head of the first new record: from now on, sequential readers see all new records;
-(3) the end of the trailer.
-
-If the room is too small, the trailer is first moved to a later offset:
-
-(1) at the future end of the file: a footer that points back to the trailer;
-(2) before it: a copy of the trailer; (3) the footer of that copy: from now on, readers of the index
-do not need the old trailer; (4) the head of the room, which reaches to the copy.
-
-A commit that changes the summary before its end (a topic, an event, the end of the recording)
-removes the room: the trailer is written into it, behind the new records, where the file then ends.
-
-A seal that fails never stops the recording: the rest is unsealed, and `FileSeal.failure` says why.
+A reader may open the file at any moment, also after the process was killed.
 """
 
 from __future__ import annotations
@@ -69,13 +39,13 @@ from robotctl.recording.format.seal_records import Link, LinkKind, Opening, Seal
 from robotctl.recording.format.trailer import FOOTER_BYTES, Summary, TrailerState, WrittenFile
 
 LINK_PERIOD_S: Final = 10.0
-"""Period of the links in the data [s]; the head in the summary is written with each commit."""
+"""Period of the links in the data [s]."""
 
 
 class Sealer(Protocol):
-    """The methods of `seal.Keyring` that `FileSeal` calls in the writer thread.
+    """The part of `seal.Keyring` for the writer thread.
 
-    If a method raises an error, the rest of the file has no seal.
+    After an error the rest of the file has no seal.
     """
 
     def open_file(self, file: str) -> SealOfFile:
@@ -86,7 +56,7 @@ class Sealer(Protocol):
 
 
 class FileSeal:
-    """The seal of one file: a hash chain over header and data, signed after `open` was called."""
+    """The seal of one file: a hash chain over header and data, signed from `open` on."""
 
     def __init__(self, sealer: Sealer, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin the chain at the beginning of the file; `clock` returns monotonic time [s]."""
@@ -105,7 +75,7 @@ class FileSeal:
         """Why the file is no longer sealed, or ""."""
 
     def open(self, file: str) -> bytes:
-        """Begin to sign; return the opening record for the file, or empty bytes after a failure."""
+        """Begin to sign, and return the opening record, b"" after a failure."""
         try:
             self._seal = self._sealer.open_file(file)
         except Exception as error:  # noqa: BLE001 - the seal never stops a recording
@@ -145,10 +115,7 @@ class FileSeal:
         return b"" if self._head is None else self._head.record()
 
     def keep(self, *, closed: bool = False) -> None:
-        """Store the last `link` outside the recording, or the last `head` of a `closed` file.
-
-        Call this when the bytes that the link or head covers are on the disk.
-        """
+        """Store the last link, or the head of a `closed` file. Its bytes must be on the disk."""
         link = self._head if closed else self._stored
         if self._seal is None or link is None:
             return
@@ -175,8 +142,7 @@ class FileSeal:
 
 
 LEAST_BYTES: Final = 64 << 10
-"""The least size of new room. New room is also at least as large as the trailer, so that moving
-trailers writes about one byte for each byte recorded, however long the file."""
+"""The least size of new room, which is also at least as large as the trailer."""
 
 PAGE_BYTES: Final = 4096
 
@@ -185,8 +151,7 @@ COMMITS: Final = 3
 
 
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
-    """Write records into the reserved space at `start`. Readers skip all of them until the last
-    step, which writes the head of the first record.
+    """Write records into the room at `start`. Readers see them only when all are written.
 
     Raises:
         OSError: The disk is full or fails. The file must be cut back.
@@ -199,12 +164,10 @@ def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
 def write_in_pages(parts: Sequence[Buffer], offset: int, storage: Storage) -> None:
     """Write `parts` at `offset`, one page per write.
 
-    Linux caches the bytes of one write in a folio of up to 2 MB. When a byte of the folio changes,
-    Linux counts and writes the whole folio again.
-
     Raises:
         OSError: The disk is full or fails.
     """
+    # Linux caches one write in a folio of up to 2 MB, and writes all of it again for each change.
     whole = memoryview(b"".join(parts))
     for start in range(0, len(whole), PAGE_BYTES):
         storage.write_at([whole[start : start + PAGE_BYTES]], offset + start)
@@ -227,13 +190,15 @@ class McapFile:
     ) -> None:
         """Begin the file; nothing is written before the first `commit`.
 
-        `seal` hashes and signs the data. `keeps_room` is for many commits: see the module.
+        `keeps_room` makes many commits to a growing file cheap.
         """
         self.summary = Summary()
         self.size = 0
         """Bytes of the file, trailer included, without the room between data and trailer."""
 
         self._storage = storage
+        # A trailer directly behind the data moves with each commit: the disk writes 50 times the
+        # recorded bytes in ten minutes. The room is a record before the trailer; readers skip it.
         self._keeps_room = keeps_room
         self._pending = bytearray(MAGIC + record_bytes(Header(profile, library)))
         self._data_end = 0
@@ -247,7 +212,7 @@ class McapFile:
 
     @classmethod
     def resume(cls, storage: Storage, written: WrittenFile) -> Self:
-        """Return a writer that continues a finished file: new records follow the file's data."""
+        """Return a writer that continues a finished file behind its data."""
         self = cls(storage, profile="", library="")
         self._pending.clear()
         self._data_end = written.data_end
@@ -268,7 +233,7 @@ class McapFile:
         self.summary.add(Opcode.CHANNEL, data)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a named map of strings; bytes that are not UTF-8, as in a file name, are escaped."""
+        """Add a named map of strings. Bytes that are not UTF-8 are escaped."""
         plain = {_utf8(key): _utf8(value) for key, value in values.items()}
         data = record_bytes(Metadata(name=name, metadata=plain))
         offset = self._data_end + len(self._pending)
@@ -298,8 +263,7 @@ class McapFile:
     def commit(self, chunk: Chunk | None = None, *, finished: bool = True) -> None:
         """Write the added records, then `chunk`, then the trailer.
 
-        With `finished` False the trailer is left out: the file is not valid until another commit.
-        Use False only without `keeps_room`, and for files that are read only when complete.
+        With `finished` False, which requires `keeps_room` False, the file is not valid yet.
 
         Raises:
             OSError: The file may be torn until `cut_back` has repaired it.
@@ -340,6 +304,11 @@ class McapFile:
         self._take_over(end, size, state.data_crc)
         return state
 
+    # A kill can end a write between two pages. So the file is valid between any two writes, and
+    # each changes only the room, the trailer or what is behind it. The writes of a commit:
+    # (1) the new records without the head of the first, and a head for the rest of the room;
+    # (2) the head of the first record, which shows all of them to sequential readers;
+    # (3) the end of the trailer.
     def _commit_into_room(self, good: TrailerState, chunk: Chunk | None) -> None:
         """Write the new records into the room, then the part of the trailer that changes."""
         start = self._data_end
@@ -356,16 +325,18 @@ class McapFile:
         self._good = state
         self._take_over(end, end + trailer.size, self._crc_with(parts))
 
+    # The writes: (1) at the future end of the file, a footer that points back to the trailer;
+    # (2) before it, a copy of the trailer; (3) the footer of the copy, so that readers of the index
+    # do not need the old trailer; (4) the head of the room, which reaches to the copy.
     def _make_room(self, good: TrailerState, size: int) -> TrailerState:
-        """Move the trailer to a later offset unless `size` bytes fit into the room before it.
-
-        Return the trailer's state.
+        """Make room for `size` bytes before the trailer, and return the trailer's state.
 
         Raises:
             OSError: The disk is full or fails. The file must be cut back.
         """
         start, storage = self._data_end, self._storage
         if size + RECORD_HEAD_BYTES > good.data_end - start:
+            # At least the trailer: moving it writes about one byte for each byte recorded.
             more = max(LEAST_BYTES, self.size - start, COMMITS * size)
             moved = replace(good, data_end=good.data_end + size + more, data_crc=0)  # 0: unknown
             trailer = self.summary.trailer(moved)
@@ -421,7 +392,7 @@ class McapFile:
         self._pending += record
 
     def _crc_with(self, parts: Sequence[Buffer]) -> int:
-        """Return the checksum of the data followed by `parts`; 0 (unknown) if the data's is 0."""
+        """Return the CRC of the data and `parts`, 0 (unknown) if that of the data is unknown."""
         if not self._data_crc and self._data_end:
             return 0
         crc = self._data_crc
@@ -449,7 +420,7 @@ class McapFile:
         self._storage.truncate(good.data_end + trailer.size)
 
     def sync(self) -> None:
-        """Ensure that everything that was committed is on the disk.
+        """Force everything that was committed to the disk.
 
         Raises:
             OSError: The disk fails, or the file was removed.

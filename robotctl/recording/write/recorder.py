@@ -1,9 +1,4 @@
-"""The flight recorder: accepts messages in the event loop and writes an always-valid MCAP file.
-
-`Recorder.write` packs a message into memory and never waits; a writer thread compresses and writes.
-Messages that do not fit into the memory budget are dropped and counted. For each topic received =
-written + queued + dropped at any time, and queued is 0 after `close`.
-"""
+"""The recorder, which writes messages from the event loop into always-valid MCAP files."""
 
 from __future__ import annotations
 
@@ -47,9 +42,8 @@ class RecorderState(StrEnum):
 class RecorderStats(MessageCounts):
     """The recorder at one instant; the counts are the sums over `topics`.
 
-    `file` is the current file, `bytes` the size of all files of this recording. `no_memory` counts
-    the messages that were dropped because the process could not allocate memory. `failure` and
-    `warning` are sentences, or "".
+    `bytes` is the size of all files of the recording. `no_memory` counts messages dropped because
+    the process could not allocate memory. `failure` and `warning` are sentences, or "".
     """
 
     state: RecorderState
@@ -71,8 +65,7 @@ _PREFIX = struct.Struct("<BQH")
 class Recorder:
     """A recorder that writes one folder in rosbag2's layout.
 
-    `add_event` and `close` may be called from any thread. The other methods must be called from one
-    thread, the event loop's.
+    Any thread may call `add_event` and `close`, only the event loop's thread the other methods.
     """
 
     def __init__(
@@ -87,10 +80,9 @@ class Recorder:
     ) -> None:
         """Create `folder` with its first file, and start the writer thread.
 
-        `metadata` is called when a file begins and returns what the file stores. `on_failure` is
-        called at most once, with a sentence for the operator. `on_split` is called with the path of
-        each later file when it has begun. When a file is full, the next file begins; but if
-        `on_full` is given, it is called instead, once per file, and must cause a call of `split`.
+        `metadata` returns the values to store in each new file. `on_failure` gets a sentence for
+        the operator, at most once. `on_split` gets the path of each later file. `on_full` gets the
+        path of each full file and must cause a call of `split`; without it, the next file begins.
         All are called in the writer thread, except `metadata` for the first file.
 
         Raises:
@@ -112,7 +104,7 @@ class Recorder:
         )
 
     def add_topic(self, topic: Topic) -> int:
-        """Return the id of the channel of `topic`; add a channel if the topic is new.
+        """Return the channel id of `topic`, which is added if it is new.
 
         Raises:
             Refused: There are MAX_TOPICS topics already.
@@ -133,8 +125,7 @@ class Recorder:
     ) -> None:
         """Record a message, or count it as dropped. Never waits. The caller may reuse `data`.
 
-        Times are in nanoseconds since the epoch. `sequence` is the sequence number that publisher
-        `gid` gave the message, 0 if it gave none.
+        Times are since the epoch. `sequence` is the publisher's number of the message, or 0.
         """
         state = self._channels[channel]
         state.received += 1
@@ -173,7 +164,7 @@ class Recorder:
             self._drop_for_memory(state, channel)
 
     def leave_out(self, channel: int, log_ns: int, sequence: int, gid: bytes) -> None:
-        """Count a message as throttled: it is not recorded, and it does not count as lost."""
+        """Count a message as throttled instead of recording it."""
         state = self._channels[channel]
         state.throttled += 1
         state.newest_ns = log_ns
@@ -184,10 +175,7 @@ class Recorder:
         return self._channels[channel]
 
     def split(self) -> None:
-        """Continue in a new file, for all messages that are passed to `write` from now on.
-
-        Returns at once; `on_split` is called when the file has begun. No effect after `close`.
-        """
+        """Begin a new file for later messages. Returns at once; has no effect after `close`."""
         if self._closed:
             return
         if self._buffer.end and self._has_memory(self._chunk_bytes):
@@ -213,9 +201,9 @@ class Recorder:
         )
 
     def close(self) -> RecorderStats:
-        """Write all queued messages, finish the file and `metadata.yaml`; return the final counts.
+        """Finish the recording, and return the final counts. A second call is harmless.
 
-        The call blocks. Later messages count as dropped. A second call is harmless.
+        Blocks until all queued messages are written. Later messages count as dropped.
         """
         self._closed = True
         self._thread.stop()
@@ -296,7 +284,7 @@ class Recorder:
 
 
 def _new_packer(state: ChannelState, channel: int, size: int) -> Packer:
-    """Return the packer for messages of `size` bytes: it packs record head and data in one call."""
+    """Return the packer for messages of `size` bytes."""
     prefix = _PREFIX.pack(Opcode.MESSAGE, MESSAGE_FIELDS_BYTES + size, channel)
     layout = struct.Struct(f"<{_PREFIX.size}sIQQ{size}s")
     packer = layout.pack_into, prefix, layout.size
@@ -308,8 +296,7 @@ def _new_packer(state: ChannelState, channel: int, size: int) -> Packer:
 class MessageGate:
     """A message callback that records a message or counts it as throttled.
 
-    The first message of each interval of 1 / `most_hz` is recorded. An interval begins at the end
-    of the previous interval or, after a pause, at the next message.
+    The first message of each interval of 1 / `most_hz` is recorded.
     """
 
     def __init__(self, recorder: Recorder, channel: int, most_hz: float = inf) -> None:

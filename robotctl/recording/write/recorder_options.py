@@ -1,4 +1,4 @@
-"""What a recorder records, and how: its options, the filter of topics, the rate of each topic."""
+"""The options of a recorder, its filter of topics, and the rate of each topic."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ TYPE_PREFIX = "type:"
 
 
 def is_plain_name(pattern: str) -> bool:
-    """Return whether a pattern is the name of one topic: it begins with `/` and has no wildcard."""
+    """Return whether `pattern` is the full name of one topic, without wildcards."""
     return pattern.startswith("/") and not set(pattern) & set("*?[")
 
 
 class TopicFilter:
-    """Accepts a topic if `include` matches it or is empty, and `exclude` does not match it.
+    """Selects topics that match `include`, or any if it is empty, and do not match `exclude`.
 
-    A pattern is a name (`/cmd_vel`), a name with the wildcards `*`, `?` and `[...]` (`*` also
-    matches `/`: `/camera/*`), or `type:` and such a pattern for the type
-    (`type:sensor_msgs/msg/Image`). The topics in `always` are recorded regardless of the patterns.
+    A pattern is a name with the wildcards `*`, `?` and `[...]`, or `type:` and such a pattern for
+    the type. `*` also matches `/`. Topics in `always` are always selected.
     """
 
     def __init__(
@@ -38,7 +37,7 @@ class TopicFilter:
         self._always = frozenset(always)
 
     def records(self, topic: str, type_name: str) -> bool:
-        """Return whether the patterns select the topic with this name and type for recording."""
+        """Return whether the topic with this name and type is selected for recording."""
         if topic in self._always:
             return True
         if any(pattern.matches(topic, type_name) for pattern in self._exclude):
@@ -47,7 +46,7 @@ class TopicFilter:
         return not self._include or any(included)
 
     def can_leave_out(self, topic: str) -> bool:
-        """Return whether patterns may exclude `topic`; they may not if it is in `always`."""
+        """Return whether patterns may exclude `topic`."""
         return topic not in self._always
 
 
@@ -90,8 +89,8 @@ def free_space(folder: Path) -> int:
 class RecorderOptions:
     """Sizes and times of the recorder.
 
-    Messages are written when they fill `chunk_bytes` or after `flush_s`, whichever comes first; a
-    valid footer always follows. A new file begins at `split_bytes`, or after `split_s`.
+    Messages are written when they fill `chunk_bytes`, at the latest after `flush_s`. A new file
+    begins at `split_bytes` or after `split_s`.
     """
 
     compression: Compression = Compression.ZSTD
@@ -102,8 +101,7 @@ class RecorderOptions:
     """Period of the syncs [s]: data written before a sync survives a power cut."""
 
     memory_bytes: int = 96 << 20
-    """Budget for the messages that wait for the disk and, up to a third of it, the latched messages
-    that the next file repeats. Messages that do not fit are dropped and counted."""
+    """Memory for waiting and latched messages. Messages that do not fit are dropped and counted."""
 
     split_bytes: int = 256_000_000
     split_s: float = 600.0

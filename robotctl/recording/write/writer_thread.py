@@ -1,9 +1,4 @@
-"""The writer thread: writes the packed messages that the event loop queues.
-
-A chunk can only be read as a whole. Evidence topics are those that a check of the decisions reads
-(`RecorderOptions.evidence`). If they shared chunks with heavy topics, a check would read every
-image. So their messages get a separate chunk, before the rest; both keep the order of arrival.
-"""
+"""The writer thread, which writes the packed messages of the event loop."""
 
 from __future__ import annotations
 
@@ -32,8 +27,7 @@ from robotctl.recording.write.channel_state import ChannelState
 from robotctl.recording.write.recorder_options import RecorderOptions
 
 SLICE_NS: Final = 20_000_000
-"""Time slice of the thread (default: 3 ms), long so that others preempt it: since Linux 6.12, a
-waking thread preempts at once only a thread whose slice is longer than its own."""
+"""Time slice of the thread. Since Linux 6.12, waking threads preempt longer slices at once."""
 
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}
 """Number of the system call `sched_setattr`, which glibc wraps only since 2.41."""
@@ -44,11 +38,7 @@ _SCHED_ATTR: Final = struct.Struct("=IIQiIQQQ")
 
 
 def rank_below(nice: int) -> None:
-    """Rank the calling thread last: it preempts no thread, and any thread that wakes preempts it.
-
-    Increase its niceness by `nice`, which sets its share of CPU time when all cores are busy.
-    Other threads are not affected.
-    """
+    """Make all other threads preempt the calling thread, and add `nice` to its niceness."""
     os.nice(nice)
     with suppress(OSError):  # a container may forbid it
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -72,6 +62,8 @@ assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 class EvidenceChunks:
     """Separates the messages of evidence topics from those of heavy topics."""
 
+    # A chunk is read as a whole: otherwise a check of the decisions would read every image.
+
     def __init__(self, topics: Collection[str], channels: Sequence[ChannelState]) -> None:
         """`topics` are the full names of the evidence topics; `channels` may grow."""
         self._topics = frozenset(topics)
@@ -80,7 +72,7 @@ class EvidenceChunks:
         self._evidence: set[int] = set()
 
     def separate(self, packed: PackedMessages) -> tuple[PackedMessages, ...]:
-        """Return copies of evidence and rest as two chunks; `packed` alone if a split does not pay.
+        """Return copies of evidence and rest as two chunks, or `packed` if a split does not pay.
 
         Raises:
             MemoryError: There is no memory for the copies; nothing is changed.
@@ -159,8 +151,7 @@ SPARE_BUFFERS = 2
 """Empty buffers kept for the loop: one to change to, one for a burst. Other buffers are freed."""
 
 NICE = 5
-"""Niceness that the thread adds to its own. When all cores are busy, the event loop gets three
-times the CPU time of the compression."""
+"""Niceness added to the thread: on busy cores, the event loop gets three times its CPU time."""
 
 _BREATH_S = 0.001
 """Pause before a retry [s]."""
@@ -183,9 +174,7 @@ Queued = PackBuffer | LargeMessage | RecordedEvent | WriterCommand
 class WriterThread:
     """The thread that writes the files.
 
-    The loop queues full buffers with `put`. Every `flush_s` the thread also writes what is in the
-    active buffer. The first error ends the file and is described in `failure`; messages are
-    counted as dropped from then on.
+    The first error ends the file and is described in `failure`. Later messages are dropped.
     """
 
     def __init__(
@@ -199,8 +188,7 @@ class WriterThread:
         """Start the thread; `active` returns the buffer that the loop is packing."""
         self._queue: SimpleQueue[Queued] = SimpleQueue()
         self._wake = threading.Lock()
-        """Released when an item was queued, to wait with a timeout. Before Python 3.13,
-        `SimpleQueue.get` with a timeout may wait without end if the thread runs late."""
+        """Released for a queued item. `SimpleQueue.get` may never time out before Python 3.13."""
 
         self.spare: deque[PackBuffer] = deque(maxlen=SPARE_BUFFERS)
         self.released = 0
@@ -337,10 +325,7 @@ class WriterThread:
                 self.no_memory += count
 
     def _attempt(self, work: Callable[[], None]) -> bool:
-        """Call `work` unless the file has failed, and return whether it succeeded.
-
-        The first error is kept. A lack of memory that leaves the file unchanged is not an error.
-        """
+        """Call `work` unless the file has failed, and return whether it succeeded."""
         if self.failure:
             return False
         try:
