@@ -1,8 +1,6 @@
 """AsyncioExecutor: rclpy callbacks in the asyncio loop, without a spinning thread.
 
-`__all__` lists what users of the library may rely on; the modules of the package may change. The
-package imports nothing else of robotctl, and loads each name on first use: `Tick`, `Ticker` and
-the errors need no rclpy. It logs to the logger `robotctl.ros.executor`.
+Only the names of `__all__` are stable. `Tick`, `Ticker` and the errors need no rclpy.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ __all__ = [
 ]
 
 _MODULES = ("event_loop", "rcutils", "ticker", "raw_tap", "runtime", "replies", "executor")
-"""The modules to search for a name, in this order; those before `runtime` need no rclpy."""
+"""The modules to search for a name, in this order. Those before `runtime` need no rclpy."""
 
 
 def __getattr__(name: str) -> object:

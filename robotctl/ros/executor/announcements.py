@@ -1,10 +1,4 @@
-"""Announcements of new data: rcl writes to an eventfd that asyncio watches.
-
-rcl announces new data by calling a C function in a DDS thread. A *Python* function there
-deadlocks: the DDS thread holds the reader's mutex and waits for the GIL, while the loop holds the
-GIL and waits for the mutex (rclpy issue 1722). So the function is glibc's own `eventfd_write`, with
-the eventfd as its user data: the DDS thread never waits for the GIL.
-"""
+"""Announcements of new data, which rcl writes to an eventfd."""
 
 from __future__ import annotations
 
@@ -33,7 +27,7 @@ _RET_UNSUPPORTED = 3
 
 
 class Announcement(Enum):
-    """A kind of data that rcl announces; the value is (library, C function to set a callback)."""
+    """A kind of data that rcl announces, as (library, C function to set a callback)."""
 
     MESSAGE = ("librcl.so", "rcl_subscription_set_on_new_message_callback")
     REQUEST = ("librcl.so", "rcl_service_set_on_new_request_callback")
@@ -71,10 +65,7 @@ def check_platform() -> None:
 
 @cache
 def counts_each_message() -> bool:
-    """Return whether the count in the eventfd includes every message that has arrived.
-
-    True for rmw_fastrtps, which also counts messages that arrived before rcl's callback was set.
-    """
+    """Return whether the eventfd's count includes all messages, even those before `watch`."""
     return str(get_rmw_implementation_identifier()) == "rmw_fastrtps_cpp"
 
 
@@ -91,7 +82,7 @@ def watch(announcement: Announcement, pointer: int, fd: int) -> None:
 
 
 def unwatch(announcement: Announcement, pointer: int) -> None:
-    """Undo a call of `watch`; when `unwatch` has returned, no DDS thread uses the eventfd.
+    """Undo a call of `watch`. After the return, no DDS thread uses the eventfd.
 
     Raises:
         UnsupportedPlatform: The middleware has no such callback.
@@ -117,6 +108,9 @@ def _set_callback(
 
 @cache
 def _eventfd_write() -> int:
+    # glibc's own function, called in a DDS thread. A Python function would deadlock there: the
+    # DDS thread holds the reader's mutex and waits for the GIL, the loop the reverse (rclpy issue
+    # 1722).
     address = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p).value
     assert address is not None
     return address
@@ -139,7 +133,7 @@ def _setter(announcement: Announcement) -> Any:
 TIMEOUT_S = 5.0
 
 TOPIC_PREFIX = "/_asyncio_executor_proof_"
-"""Prefix of the topic that `check_announcements` uses; the process id follows."""
+"""Prefix of the topic of `check_announcements`. The process id follows."""
 
 _SENT = Time(sec=0x01020304, nanosec=0x05060708)
 _CDR = bytes.fromhex("00010000 04030201 08070605")
@@ -148,9 +142,9 @@ _passed = False
 
 
 async def check_announcements(context: Context) -> None:
-    """Publish a message to this process; check that rcl announces it and that its bytes are right.
+    """Check that rcl announces a message of this process, and returns the right bytes.
 
-    After the first success, calls do nothing: a process does not change platform or middleware.
+    After a success, later calls do nothing.
 
     Raises:
         UnsupportedPlatform: The check failed; the error text names the step.

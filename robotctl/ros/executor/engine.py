@@ -1,7 +1,4 @@
-"""The part of an executor that exists only while the executor is open.
-
-For each entity of the nodes, it keeps a source, which reads data and runs the callbacks.
-"""
+"""The sources of an open executor, one for each entity of its nodes."""
 
 from __future__ import annotations
 
@@ -41,11 +38,9 @@ from robotctl.ros.executor.waitables import GuardSource, WaitableSource, WaitSet
 
 
 class Nodes:
-    """Keeps the nodes of one executor; sets each node's attribute `executor`, as rclpy does.
+    """The nodes of one executor, which is set as each node's attribute `executor`."""
 
-    Nodes have the type Any here, because rclpy's types accept only rclpy's own executors.
-    """
-
+    # Any as a node's type: rclpy's types accept only rclpy's own executors.
     def __init__(self, executor: Any) -> None:
         self._executor = executor
         self._nodes: dict[Node, None] = {}
@@ -54,7 +49,7 @@ class Nodes:
         return iter(list(self._nodes))
 
     def add(self, node: Any) -> bool:
-        """Add the node; return False if it was added before.
+        """Add the node, or return False if it was added before.
 
         Raises:
             RuntimeError: Another live executor has the node.
@@ -77,7 +72,7 @@ class Nodes:
         return True
 
     def remove(self, node: Any) -> bool:
-        """Remove the node; return False if it was not added."""
+        """Remove the node, or return False if it was not added."""
         try:
             del self._nodes[node]
         except KeyError:
@@ -87,7 +82,7 @@ class Nodes:
         return True
 
     def entities(self) -> dict[Any, Node]:
-        """Return a dict entity -> node for all nodes; remove the nodes that were destroyed."""
+        """Return entity -> node for all nodes. Destroyed nodes are removed."""
         found: dict[Any, Node] = {}
         for node in self:
             if is_destroyed(node.handle):
@@ -114,9 +109,9 @@ def _fail_pending(source: Source, reason: str) -> None:
 
 
 class Engine:
-    """Keeps a `Source` attached to each entity of the nodes; sets the loop thread's scheduling.
+    """Keeps a `Source` attached to each entity of the nodes.
 
-    `wake` and `request_close` may be called from any thread, the rest in the loop's thread only.
+    Any thread may call `wake` and `request_close`. The rest is for the loop's thread.
     """
 
     def __init__(
@@ -128,7 +123,7 @@ class Engine:
         close: Callable[[], None],
         on_exception: ExceptionHandler | None,
     ) -> None:
-        """Prepare to run callbacks in `loop`; `close` closes the executor, in the loop."""
+        """Prepare to run callbacks in `loop`. The engine calls `close` to close the executor."""
         self.runtime = Runtime(loop, self.sync, on_exception)
         self._loop_thread = loop_thread
         self._context: Context = executor.context
@@ -137,7 +132,7 @@ class Engine:
         self._wait_set = WaitSetThread(self.runtime, self._context, close)
         self._executor = executor
         self._broken: set[Any] = set()
-        """Entities that could not be attached; they are reported once and not tried again."""
+        """Entities that could not be attached, and are not tried again."""
 
         self.sources: dict[Any, Source] = {}
         """Entity -> its `Source`, for each attached entity."""
@@ -152,7 +147,7 @@ class Engine:
         return "SCHED_OTHER" if self._fifo is None else self._fifo.description
 
     def open(self, fifo_priority: int | None) -> None:
-        """Attach the entities, watch for shutdown; request SCHED_FIFO if `fifo_priority` is set."""
+        """Attach the entities, watch for shutdown and, with `fifo_priority`, request SCHED_FIFO."""
         futures.open_bridge(self.runtime.loop)
         if fifo_priority is not None:
             self._fifo = FifoScheduling(fifo_priority)
@@ -163,7 +158,7 @@ class Engine:
         self.sync()
 
     def wake(self) -> None:
-        """Attach created entities, and detach destroyed ones, in the loop's next turn."""
+        """Attach new entities, and detach those that are gone, in the loop's next turn."""
         if self._closing:
             return
         self.runtime.stale = True
@@ -175,7 +170,7 @@ class Engine:
             self.runtime.loop.call_soon(self._sync_if_stale)
 
     def sync(self) -> None:
-        """Attach the new entities of the nodes, and detach the destroyed ones."""
+        """Attach the new entities of the nodes, and detach those that are gone."""
         if self._closing:
             self._close()
             return
@@ -183,14 +178,14 @@ class Engine:
         self._follow(self._nodes.entities())
 
     def request_close(self) -> None:
-        """Begin no more callbacks; close the executor in a later turn of the loop."""
+        """Begin no more callbacks, and close the executor in a later turn of the loop."""
         self._closing = True
         self.runtime.stale = True
         # Not at once: this may run in a signal handler, amid code that uses what is released.
         self.runtime.loop.call_soon_threadsafe(self._close)
 
     def close(self, finished: Callable[[], None]) -> None:
-        """Detach all entities, fail all calls and cancel all tasks; then call `finished`."""
+        """Detach all entities, fail all calls and cancel all tasks. Then call `finished`."""
         self._closing = True
         sources, self.sources = self.sources, {}
         for source in sources.values():
@@ -206,7 +201,7 @@ class Engine:
         self.runtime.on_idle(finished)
 
     def _follow(self, present: dict[Any, Node]) -> None:
-        """Attach the new entities of `present` (entity -> node); detach those not in `present`."""
+        """Attach the new entities of `present` (entity -> node), and detach all others."""
         for entity in [entity for entity in self.sources if entity not in present]:
             source = self.sources.pop(entity)
             if is_destroyed(source.handle):

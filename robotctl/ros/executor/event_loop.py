@@ -1,11 +1,4 @@
-"""An event loop with cheap wake-ups, the beat on which timers expire, and time limits.
-
-When a descriptor is ready, asyncio makes a selector key and a handle, and queues the handle. This
-takes a tenth of the CPU time that a message costs at 1 kHz. `EventLoop` calls the callback at once.
-
-A wake-up costs more than most of the work in it. So tickers of one rate expire together, and
-timers whose exact time does not matter expire together on a beat.
-"""
+"""An event loop with cheap wake-ups, the beat of timers, and time limits."""
 
 from __future__ import annotations
 
@@ -22,42 +15,40 @@ from typing import Any, Final, TypeVar
 NS_PER_S = 1_000_000_000
 
 SLOW_CALLBACK_NS = 50_000_000
-"""A callback that blocks the loop for longer delays the control tick: then a warning is logged."""
+"""The longest time that a callback may block the loop without a warning."""
 
 SLOW_WARNING_PAUSE_NS = 10_000_000_000
-"""The least time between two warnings about the same callback, so that the log stays readable."""
+"""The least time between two warnings about the same callback."""
 
 SLICE_NS = 300_000
-"""How long one entity may handle messages before the others get their turn."""
+"""The longest time for the messages of one entity before others get their turn."""
 
 TURN_NS = 1_000_000
-"""In one turn of the loop, all entities in a flood of messages together get this time, so that the
-other entities do not wait long."""
+"""The time for all entities in a flood of messages together, in one turn of the loop."""
 
 SHORTEST_SLICE_NS = 50_000
-"""The shortest time slice of an entity in a flood of messages: with a shorter one, changing between
-entities would cost more than the work."""
+"""The shortest time slice in a flood, because a change of entity costs time too."""
 
 FLOOD_REST_S = 0.002
 """How long the messages of a subscription are collected in a flood."""
 
 FLOODED_SHARE = 0.1
-"""A `Pool` (see `runtime`) is in a flood if its messages take a larger share of the time. At 5 to
-10 us for each message, this is the case above 10 to 20 kHz."""
+"""The busy share of time above which a `Pool` is in a flood (10 to 20 kHz of messages)."""
 
 FASTEST_TOPIC_HZ = 50_000.0
-"""The highest rate expected: a queue needs room for the messages that arrive in FLOOD_REST_S."""
+"""The highest expected rate of a topic."""
 
 POLLS_PER_RATE_CHECK = 32
-"""The rate of a subscription is checked after this number of polls."""
+"""The number of polls between two checks of a subscription's rate."""
 
 FLOODED_WITHIN_NS = 16_000_000
-"""A flood begins if POLLS_PER_RATE_CHECK polls of a subscription took less time (over 2 kHz)."""
+"""A flood begins if POLLS_PER_RATE_CHECK polls took less time (over 2 kHz)."""
 
 CALM_BEYOND_NS = 64_000_000
-"""A flood ends if POLLS_PER_RATE_CHECK polls of a subscription took more time (under 500 Hz)."""
+"""A flood ends if POLLS_PER_RATE_CHECK polls took more time (under 500 Hz)."""
 
 
+# A wake-up costs more than most of its work. So timers that need not be exact expire together.
 BEAT_NS = 20_000_000
 """The time between two beats, 50 a second, on which timers expire together."""
 
@@ -66,7 +57,7 @@ _START_NS = time.monotonic_ns()
 
 
 def beat_before(t_ns: int, period_ns: int = BEAT_NS) -> int:
-    """Return the last beat [ns] at or before steady time `t_ns`; beats are `period_ns` apart."""
+    """Return the last beat [ns] at or before steady time `t_ns`, with beats `period_ns` apart."""
     return t_ns - (t_ns - _START_NS) % period_ns
 
 
@@ -74,13 +65,13 @@ _MS_PER_S: Final = 1000
 """epoll waits for whole milliseconds."""
 
 _MOST_AT_ONCE: Final = 64
-"""Limit on the descriptors of one turn; Linux returns the remaining ones in the next turn."""
+"""Limit on the descriptors of one turn. Linux returns the others in the next turn."""
 
 T = TypeVar("T")
 
 
 class _CallingSelector(EpollSelector):
-    """A selector that calls the callback of a ready descriptor in `calls`; returns the others."""
+    """A selector that runs the callbacks of `calls`, and returns the other ready descriptors."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -104,6 +95,7 @@ class _CallingSelector(EpollSelector):
         # Rounded up, as in the base class: rounded down, the loop would spin until a timer is due.
         wait_s = -1 if timeout is None else math.ceil(timeout * _MS_PER_S) / _MS_PER_S
         others = []
+        # asyncio's key, handle and queue would cost a tenth of the CPU time of a message at 1 kHz.
         for fd, event in self._epoll.poll(wait_s, _MOST_AT_ONCE):
             call = self.calls.get(fd)
             if call is None:
@@ -130,10 +122,7 @@ def _mask(event: int) -> int:
 
 
 class EventLoop(asyncio.SelectorEventLoop):
-    """An asyncio loop with cheaper wake-ups for an `AsyncioExecutor`.
-
-    It behaves as asyncio's own loop; `watch` is a cheaper form of `add_reader`.
-    """
+    """An asyncio loop with cheaper wake-ups for an `AsyncioExecutor`."""
 
     def __init__(self) -> None:
         self._calling = _CallingSelector()
@@ -145,7 +134,7 @@ class EventLoop(asyncio.SelectorEventLoop):
         self._calling.watch(fd, partial(copy_context().run, callback))
 
     def unwatch(self, fd: int) -> None:
-        """Stop watching `fd`, which must still be open; an `fd` that is not watched is ignored."""
+        """Stop watching `fd`, which must still be open. An `fd` that is not watched is ignored."""
         self._calling.unwatch(fd)
 
     def _report(self, error: BaseException) -> None:
@@ -168,7 +157,7 @@ def watch(loop: asyncio.AbstractEventLoop, fd: int, callback: Callable[[], objec
 
 
 def unwatch(loop: asyncio.AbstractEventLoop, fd: int) -> None:
-    """Stop watching `fd`; do nothing if the loop is closed, because then it watches nothing."""
+    """Stop watching `fd` in `loop`. A closed loop is ignored."""
     if isinstance(loop, EventLoop):
         loop.unwatch(fd)
     elif not loop.is_closed():

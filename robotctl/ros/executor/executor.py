@@ -1,17 +1,12 @@
 # mypy: disallow-untyped-calls=False
 """AsyncioExecutor: rclpy's callbacks in the asyncio loop, without a spinning thread.
 
-rclpy's own executors build a wait set for every message. This executor makes rcl write to an
-eventfd that asyncio watches (see `announcements`). Nodes, entities and callbacks stay plain rclpy:
-
     async with AsyncioExecutor() as executor:
         executor.add_node(node)
         await executor.serve()
 
-Callbacks run in the loop's thread, may be `async def` and may await anything of asyncio;
-`await client.call_async(request)` works in them as in any other task of the loop. Callback groups
-mean what they mean in rclpy, with one difference: they do not hold back responses, so a callback
-may await a call whose client is in the callback's own group.
+Callbacks run in the loop's thread, may be `async def` and may await anything of asyncio. Callback
+groups do not hold back responses: a callback may await a client of its own group.
 """
 
 from __future__ import annotations
@@ -40,12 +35,9 @@ SERVICE_POLL_S = 0.02
 class AsyncioExecutor:
     """Runs the callbacks of rclpy nodes in an asyncio loop while `async with` is open.
 
-    It behaves as an `rclpy.executors.Executor`: `add_node`, `remove_node`, `get_nodes`,
-    `create_task`, `wake` and `shutdown` may be called from any thread. Only the `spin` methods
-    raise RuntimeError, because the loop itself runs the callbacks.
-
-    An exception in a callback goes to `on_exception(error, where)`, by default to the loop's own
-    exception handler; the executor continues.
+    Any thread may call the methods of `rclpy.executors.Executor`. The `spin` methods only raise
+    RuntimeError. An exception in a callback goes to `on_exception(error, where)`, by default to the
+    loop's exception handler.
     """
 
     def __init__(
@@ -57,8 +49,7 @@ class AsyncioExecutor:
     ) -> None:
         """Serve nodes of `context` (default: rclpy's default context).
 
-        `fifo_priority` requests SCHED_FIFO (1..99) for the loop's thread while the executor is
-        open; `scheduling` says whether it was granted.
+        `fifo_priority` requests SCHED_FIFO for the loop's thread; `scheduling` is the result.
 
         Raises:
             ValueError: The priority is outside 1..99.
@@ -87,9 +78,7 @@ class AsyncioExecutor:
     # Opening and closing
 
     async def __aenter__(self) -> Self:
-        """Begin to run callbacks in the running loop.
-
-        If opening fails, the executor is closed, and its nodes may join another executor.
+        """Begin to run callbacks in the running loop. A failure closes the executor.
 
         Raises:
             UnsupportedPlatform: Eventfds do not work here.
@@ -122,9 +111,7 @@ class AsyncioExecutor:
         await asyncio.gather(*self._engine.runtime.tasks, return_exceptions=True)
 
     async def serve(self) -> None:
-        """Wait until the executor or its context is shut down.
-
-        Callbacks run while `async with` is open, whether or not `serve` is awaited.
+        """Wait until the executor or its context is shut down. Callbacks also run without this.
 
         Raises:
             RuntimeError: The executor is not open, or runs in another loop.
@@ -136,10 +123,8 @@ class AsyncioExecutor:
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Begin no more callbacks, release all nodes and cancel running tasks.
 
-        May be called from any thread, callback or signal handler. Called in another thread, it
-        waits for running callbacks, at most `timeout_sec` seconds (None or negative: no limit).
-        Called in the loop's own thread, it does not wait, but the end of the executor's
-        `async with` block does.
+        Any thread, callback or signal handler may call this. Outside the loop's thread, it waits for
+        running callbacks, at most `timeout_sec` seconds (None or negative: no limit).
 
         Returns:
             Whether no callback runs any more.
@@ -183,7 +168,7 @@ class AsyncioExecutor:
         return True
 
     def remove_node(self, node: Node) -> None:
-        """Stop running the node's callbacks; a node that was not added is ignored."""
+        """Stop running the node's callbacks. A node that was not added is ignored."""
         if not self._nodes.remove(node):
             return
         if self._engine is not None and self._loop_thread.is_current():
@@ -198,8 +183,7 @@ class AsyncioExecutor:
     def create_task(self, callback: Any, *args: Any, **kwargs: Any) -> Future:
         """Run a function, a coroutine function or a coroutine in the loop; return its future.
 
-        An exception goes into the future, and to the exception handler as well unless the future
-        has a done callback.
+        The exception handler gets an exception too if the future has no done callback.
 
         Raises:
             RuntimeError: The executor was shut down.
@@ -208,7 +192,7 @@ class AsyncioExecutor:
         return self._tasks.create(callback, args, kwargs)
 
     def wake(self) -> None:
-        """Look for new and destroyed entities; rclpy calls this when a node changes."""
+        """Look for new and destroyed entities. rclpy calls this when a node changes."""
         if self._engine is not None:
             self._engine.wake()
 
@@ -229,7 +213,7 @@ class AsyncioExecutor:
     async def call(self, client: Client, request: Any, *, timeout_s: float | None) -> Any:
         """Call a service and return its response.
 
-        A request is lost while no server is discovered: see `wait_for_service`.
+        The request is lost if no server is discovered yet.
 
         Raises:
             TimeoutError: No response came within `timeout_s` seconds (None: no deadline).
@@ -256,7 +240,7 @@ class AsyncioExecutor:
             ) from None
 
     async def wait_for(self, future: Future, *, timeout_s: float | None) -> Any:
-        """Return an rclpy Future's result; cancel the future if the wait ends without a result.
+        """Return the result of an rclpy Future, and cancel the future if no result comes.
 
         Raises:
             TimeoutError: No result came within `timeout_s` seconds (None: no deadline).

@@ -1,10 +1,5 @@
 # mypy: disallow-untyped-calls=False
-"""Awaiting rclpy's futures in asyncio.
-
-`rclpy.task.Future.__await__` is a bare `yield`: awaited in an asyncio task, it keeps the loop at
-100 % CPU until the result is there. While an AsyncioExecutor is open, `await future` in its loop
-uses `wait` instead; in other loops and threads, rclpy's own method is used.
-"""
+"""Awaiting rclpy's futures in asyncio."""
 
 from __future__ import annotations
 
@@ -26,9 +21,9 @@ _rclpy_await: Callable[[Future], Generator[Any, None, Any]] = Future.__await__
 
 
 async def wait(future: Future) -> Any:
-    """Wait for an rclpy Future without keeping the loop busy, and return its result.
+    """Return the result of an rclpy Future, without keeping the loop busy.
 
-    If the wait is cancelled, the future is cancelled too, and its client forgets the request.
+    If the wait is cancelled, the future is cancelled too.
 
     Raises:
         asyncio.CancelledError: The future was cancelled.
@@ -74,7 +69,7 @@ def open_bridge(loop: asyncio.AbstractEventLoop) -> None:
 
 
 def close_bridge(loop: asyncio.AbstractEventLoop) -> None:
-    """Undo one call of `open_bridge`; when all calls are undone, restore rclpy's own method."""
+    """Undo one call of `open_bridge`."""
     _bridged_loops[loop] -= 1
     if not _bridged_loops[loop]:
         del _bridged_loops[loop]
@@ -83,6 +78,7 @@ def close_bridge(loop: asyncio.AbstractEventLoop) -> None:
 
 
 def _await_bridged(self: Future) -> Generator[Any, None, Any]:
+    # rclpy's method is a bare `yield`: in a task, it would keep the loop at 100 % CPU.
     if _running_loop() in _bridged_loops:
         return wait(self).__await__()
     return _rclpy_await(self)
@@ -100,11 +96,7 @@ def _running_loop() -> asyncio.AbstractEventLoop | None:
 
 
 class ImmediateCallbacks:
-    """Stands in for the executor of a future that gets its result; runs done callbacks at once.
-
-    An rclpy future passes its done callbacks to `create_task` of its executor. The real executor
-    would run them in the next iteration of the loop.
-    """
+    """Stands in for the executor of a future, and runs the done callbacks at once."""
 
     def __init__(self, report: Callable[[Exception, str], None]) -> None:
         self._report = report
@@ -121,11 +113,11 @@ class ImmediateCallbacks:
 def callbacks_at_once(
     future: Future, immediate: ImmediateCallbacks, executor: Any
 ) -> Iterator[None]:
-    """Run the done callbacks of `future` at once if it gets its result within the `with` block.
+    """Run the done callbacks at once if `future` gets its result within the `with` block.
 
-    After the block, `executor` runs the done callbacks that are added later; if it is None, rclpy
-    calls them directly.
+    After the block, `executor` runs new done callbacks; without one, rclpy calls them directly.
     """
+    # The executor itself would run them in the next iteration of the loop.
     future._set_executor(immediate)
     try:
         yield
@@ -136,7 +128,7 @@ def callbacks_at_once(
 def fail_pending(
     pending: dict[Any, Future], error: Exception, immediate: ImmediateCallbacks
 ) -> None:
-    """Fail every future of `pending` with `error`, so that all waits end; then clear `pending`."""
+    """Fail every future of `pending` with `error`, and clear `pending`."""
     for future in list(pending.values()):
         with callbacks_at_once(future, immediate, None):
             future.set_exception(error)
@@ -152,10 +144,10 @@ class ExecutorTask(Future):
         super().__init__(executor=executor)
         self._loop_thread = loop_thread
         self.running: asyncio.Task[None] | None = None
-        """The task of the coroutine once it has started; used in the loop's thread only."""
+        """The task of the running coroutine. Used in the loop's thread only."""
 
     def cancel(self) -> None:
-        """Cancel the future and its coroutine; may be called from any thread."""
+        """Cancel the future and its coroutine. Any thread may call this."""
         super().cancel()
         if self.cancelled():
             with suppress(RuntimeError):  # The loop is closed: nothing runs.
@@ -167,20 +159,19 @@ class ExecutorTask(Future):
 
 
 class Tasks:
-    """Runs functions and coroutines in the loop, and sets the future of each.
+    """Runs functions and coroutines in the loop, and sets a future for each.
 
-    The future gets an exception that is raised. The exception handler gets it too, unless the
-    future has a done callback.
+    The exception handler gets an exception too if the future has no done callback.
     """
 
     def __init__(self, executor: Any, loop_thread: LoopThread) -> None:
         self._executor = executor
         self._loop_thread = loop_thread
         self.runtime: Runtime | None = None
-        """Set when the executor is opened: the tasks run in its loop."""
+        """The runtime of the open executor, None before."""
 
         self.closed = False
-        """Set when the executor is closed: tasks that have not begun are cancelled."""
+        """Whether the executor is closed. Then tasks that have not begun are cancelled."""
 
     def create(self, callback: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> ExecutorTask:
         """Run a function, a coroutine function or a coroutine in the loop; return its future.

@@ -1,4 +1,4 @@
-"""The loop's thread: calls into it from other threads, and SCHED_FIFO where it is permitted."""
+"""Calls into the loop's thread from other threads, and the thread's scheduling."""
 
 from __future__ import annotations
 
@@ -12,11 +12,7 @@ if TYPE_CHECKING:
 
 
 class LoopThread:
-    """Runs functions in the loop; any thread may pass them to `call_soon`.
-
-    Until `open` sets the loop, functions are kept. If `give_up` is called instead of `open`, each
-    function runs at once, in the thread that passes it.
-    """
+    """Runs functions in the loop, for callers in any thread."""
 
     def __init__(self) -> None:
         self._loop: AbstractEventLoop | None = None
@@ -31,7 +27,7 @@ class LoopThread:
         return threading.get_ident() == self._thread_id
 
     def open(self, loop: AbstractEventLoop) -> None:
-        """Run the functions kept so far and all later ones in `loop`; call this in its thread."""
+        """Run kept and later functions in `loop`. Call this in the loop's thread."""
         with self._lock:
             self._loop, self._thread_id = loop, threading.get_ident()
             waiting, self._waiting = self._waiting, []
@@ -39,7 +35,7 @@ class LoopThread:
                 loop.call_soon(callback)
 
     def give_up(self) -> None:
-        """Run the waiting functions in the caller's thread. Later functions run at once."""
+        """Run the kept functions in the caller's thread. Later functions run at once."""
         with self._lock:
             self._given_up = True
             waiting, self._waiting = self._waiting, []
@@ -49,7 +45,7 @@ class LoopThread:
     def call_soon(self, callback: Callable[[], object]) -> None:
         """Call `callback` in a later iteration of the loop.
 
-        Before `open`, it is kept until the loop is set; after `give_up`, it is called at once.
+        Before `open`, `callback` is kept. After `give_up`, it is called at once.
 
         Raises:
             RuntimeError: The loop is closed.
@@ -69,16 +65,16 @@ class LoopThread:
 class FifoScheduling:
     """Runs the calling thread under SCHED_FIFO until `restore`.
 
-    Threads that it starts later do not inherit SCHED_FIFO, because a real-time DDS thread would
-    delay the robot's other threads.
+    Threads that it starts do not inherit SCHED_FIFO.
     """
 
     def __init__(self, priority: int) -> None:
-        """Request SCHED_FIFO at `priority`, 1 (low) to 99; `description` says if it was granted."""
+        """Request SCHED_FIFO at `priority`, 1 (low) to 99. `description` is the result."""
         self._former: tuple[int, os.sched_param] | None = None
         self._thread = threading.get_native_id()
         former = (os.sched_getscheduler(self._thread), os.sched_getparam(self._thread))
         try:
+            # Not inherited: a real-time DDS thread would delay the robot's other threads.
             os.sched_setscheduler(
                 self._thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority)
             )
@@ -92,7 +88,7 @@ class FifoScheduling:
             self.description = f"SCHED_FIFO {priority}"
 
     def restore(self) -> None:
-        """Restore the thread's former scheduling; may be called from any thread."""
+        """Restore the thread's former scheduling. Any thread may call this."""
         if self._former is not None:
             policy, parameter = self._former
             self._former = None

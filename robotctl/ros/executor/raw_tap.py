@@ -12,53 +12,43 @@ from robotctl.ros.executor import rcutils
 from robotctl.ros.executor.rcutils import RclCallFailed
 
 SerializedData = bytes | memoryview
-"""A serialized message. Above 1 MiB it is a memoryview of the executor's buffer, which is valid
-only during the call of the sink: the sink must copy what it keeps."""
+"""A serialized message. A memoryview (above 1 MiB) is valid only during the call of the sink."""
 
 Sink = Callable[[bytes, int, int, int, bytes], object]
 """Called with (data, received_ns, source_ns, sequence, gid) for each message."""
 
 ViewSink = Callable[[SerializedData, int, int, int, bytes], object]
-"""A sink that accepts views of large messages, and copies what it keeps of them."""
+"""A `Sink` that accepts memoryviews of large messages, and copies all that it keeps."""
 
 UNKNOWN_GID = b""
 """The gid of messages whose publisher is not known."""
 
 
 class RawTap:
-    """A callback for a raw subscription that also gets the publisher's gid of each message.
+    """A callback for a raw subscription that passes each message and its origin to `sink`.
 
         node.create_subscription(msg_type, topic, RawTap(sink), qos, raw=True)
 
-    `sink` is called with the serialized message, the wall-clock times in ns at which it was
-    received and published, the publisher's sequence number, and the publisher's gid (16 bytes).
-    A gap in the numbers of one gid is a lost message. The sink is synchronous: a task for each
-    message would be too slow for 45,000 messages a second.
-
-    An AsyncioExecutor reads such messages without rclpy, and collects them for `latency_s`,
-    because one wake-up costs ten times as much as reading one message. The time stamps stay exact:
-    the middleware sets them. If the subscription's queue is short (below 500 messages, for the
-    default `latency_s`), messages are collected for less time or not at all. An executor of rclpy
-    calls the tap as an ordinary callback; the gid is then `UNKNOWN_GID`.
+    `sink` gets the serialized message, the wall-clock times [ns] of reception and publication, and
+    the number and gid (16 bytes) of its publisher. A gap in the numbers of one gid is a lost
+    message. `sink` must not be async. In an executor of rclpy, the gid is `UNKNOWN_GID`.
     """
 
     __slots__ = ("__weakref__", "latency_s", "poll", "sink", "views")
 
     def __init__(self, sink: Sink, *, latency_s: float | None = 0.01, views: bool = False) -> None:
-        """Call `sink` at most about `latency_s` seconds late; 0 means at once for each message.
+        """Call `sink` at most about `latency_s` seconds late, or only by `poll` if that is None.
 
-        If `latency_s` is None, messages do not wake the loop: only `poll` calls the sink.
         `views` says that `sink` is a ViewSink.
         """
         self.sink = sink
         self.latency_s = latency_s
         self.views = views
         self.poll: Callable[[], None] = lambda: None
-        """Passes the messages that have arrived to `sink`, without waiting for more; set by the
-        AsyncioExecutor that serves the subscription."""
+        """Passes the messages that have arrived to `sink`. Needs an AsyncioExecutor."""
 
     def __call__(self, data: bytes, info: Mapping[str, Any]) -> None:
-        """Pass a message to `sink`; an executor of rclpy calls this."""
+        """Pass a message to `sink`. An executor of rclpy calls this."""
         self.sink(
             data,
             info["received_timestamp"],
@@ -81,12 +71,9 @@ def _take_serialized() -> Any:
     return function
 
 
+# A plain tuple is faster than a named one.
 Taken = tuple[bytes | memoryview, int, int, int, bytes]
-"""(data, received_ns, source_ns, sequence, gid) of a serialized message.
-
-The times are of the wall clock. `gid` (16 bytes) identifies the publisher, which numbers its
-messages: a gap in `sequence` is a lost message. A plain tuple is faster than a named one.
-"""
+"""(data, received_ns, source_ns, sequence, gid) of a message, as a `Sink` gets them."""
 
 
 # rmw_message_info_t: source and received timestamp, publication and reception sequence number,
@@ -100,19 +87,14 @@ _UNSUPPORTED = 2**64 - 1
 
 
 LARGE_BYTES = 1 << 20
-"""A message above this size is passed as a view, not as a copy, if views are asked for."""
+"""A message above this size is passed as a view where views are asked for."""
 
 KEPT_BYTES = 64 << 20
-"""Limit on the total size of the buffers above LARGE_BYTES that this process keeps for the next
-large messages; a buffer beyond the limit is freed after its message."""
+"""Limit on all buffers above LARGE_BYTES that this process keeps for later messages."""
 
 
 class SerializedTaker:
-    """Takes the serialized messages of one subscription, through one reused buffer.
-
-    Each message comes with its publisher's gid: without the gid, sequence numbers mean nothing on a
-    topic with two publishers. All SerializedTakers together keep at most KEPT_BYTES.
-    """
+    """Takes the serialized messages of one subscription, through one reused buffer."""
 
     _kept_by_all = 0
     """Total size [bytes] of the large buffers that all SerializedTakers keep."""
@@ -137,13 +119,13 @@ class SerializedTaker:
     def __init__(self, pointer: int, *, views: bool = False, bare: bool = False) -> None:
         """Take from the rcl_subscription_t at `pointer`, which must outlive this object.
 
-        With `views`, `take` returns large data as a memoryview, which is valid until the next
-        `take`. With `bare`, `take` returns only the data, without times and gid: this is faster.
+        With `views`, large data are a memoryview, valid until the next `take`. With `bare`, `take`
+        returns only the data.
         """
         self._bare = bare
         self._views = views
         self.lent: memoryview | None = None
-        """The view of the last large message; the next take releases the view."""
+        """The view of the last large message, which the next `take` releases."""
         self._kept = 0
         self._pointer = pointer
         self._take = _take_serialized()
@@ -157,7 +139,7 @@ class SerializedTaker:
         self._buffer: Any = None
 
     def take(self) -> Taken | bytes | memoryview | None:
-        """Return the next message, None if none waits: a `Taken` or, with `bare`, only the data.
+        """Return the next message, or None if none waits.
 
         Raises:
             RclCallFailed: rcl could not take the message.
@@ -192,7 +174,7 @@ class SerializedTaker:
         }
 
     def free(self) -> None:
-        """Free the buffer; the next message that is read allocates a new one."""
+        """Free the buffer. The next `take` allocates a new one."""
         if self.lent is not None:
             self.lent.release()
         self.lent = self._buffer = None

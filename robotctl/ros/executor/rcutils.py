@@ -8,11 +8,11 @@ from typing import Any
 
 
 class UnsupportedPlatform(RuntimeError):
-    """This platform or middleware cannot announce new data on an eventfd; the message says why."""
+    """This platform or middleware cannot announce new data on an eventfd."""
 
 
 class RclCallFailed(RuntimeError):
-    """A call of rcl failed; the text contains rcl's own message."""
+    """A call of rcl failed. The text contains rcl's own message."""
 
 
 class Allocator(ctypes.Structure):
@@ -41,7 +41,7 @@ class _ErrorString(ctypes.Structure):
 
 @cache
 def library() -> Any:
-    """Load rcutils, and return the library; calls of its functions keep the GIL."""
+    """Return the rcutils library, whose functions keep the GIL."""
     loaded = ctypes.PyDLL("librcutils.so")
     loaded.rcutils_get_default_allocator.restype = Allocator
     loaded.rcutils_get_error_string.restype = _ErrorString

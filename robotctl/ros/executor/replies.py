@@ -1,9 +1,7 @@
 # mypy: disallow-untyped-calls=False
 """Holds a service's response back until the client's reader of responses is discovered.
 
-A client has a writer of requests and a reader of responses; the server may discover the writer
-first. If it then responds, rmw_fastrtps blocks for 0.1 s and drops the response, and rclpy only
-warns. Here the response waits until the reader is discovered; the loop goes on meanwhile.
+To a reader that is not discovered, rmw_fastrtps would block for 0.1 s and drop the response.
 """
 
 from __future__ import annotations
@@ -26,20 +24,19 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from robotctl.ros.executor.runtime import Runtime, log
 
 WAIT_S: Final = 5.0
-"""How long a response waits until its reader is discovered; then the response is dropped."""
+"""How long a response waits for its reader before it is dropped."""
 
 MAX_WAITING: Final = 100
 """Limit on the waiting responses of one service; beyond it, the oldest is dropped."""
 
 POLL_S: Final = 0.02
-"""How often [s] to look for readers while a response waits: no callback announces a reader."""
+"""The time between two looks for readers, which no callback announces."""
 
 PAUSE_S: Final = 1.0
-"""The least time between two attempts to send to a reader that is discovered but not matched:
-each attempt blocks the loop for 0.1 s."""
+"""The least time between two failing attempts to reach a reader: each blocks the loop for 0.1 s."""
 
 MAX_KNOWN: Final = 1_000
-"""Limit on the remembered readers, to which a response is sent without reading the graph."""
+"""Limit on the remembered readers, which need no look at the graph."""
 
 _GID_BYTES: Final = 16
 _READER_BIT: Final = 0x04
@@ -56,7 +53,7 @@ class _Waiting:
 
 
 class Replies:
-    """Sends each response once its client's reader is discovered. Use this in the loop's thread."""
+    """Sends each response once its client's reader is discovered, in the loop's thread."""
 
     def __init__(
         self, runtime: Runtime, where: str, readers: Callable[[], Container[bytes]]
@@ -74,10 +71,10 @@ class Replies:
         self._closed = False
 
     def send(self, header: Any, attempt: Callable[[], bool]) -> None:
-        """Call `attempt()`, which sends the response, once the client's reader is discovered.
+        """Call `attempt`, which sends the response, once the reader of its client is discovered.
 
-        `header` belongs to the request. `attempt` returns whether the middleware accepted the
-        response; if not, `attempt` is called again. After WAIT_S the response is dropped.
+        `header` is the request's. `attempt` returns whether the middleware accepted the response,
+        and is repeated until then, for WAIT_S at most.
         """
         gid = reader_of(header)
         if gid is None or self._closed:
@@ -89,7 +86,7 @@ class Replies:
             self._keep(_Waiting(gid, attempt, now_s + WAIT_S))
 
     def close(self) -> None:
-        """Drop the waiting responses; from now on, `send` tries only once and does not wait."""
+        """Drop the waiting responses. Later responses are tried once and not held back."""
         self._closed = True
         self._waiting.clear()
         if self._timer is not None:
@@ -154,10 +151,9 @@ class _Everything:
 
 
 def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
-    """Return a function that lists the discovered readers of the responses of a service.
+    """Return a function that lists the discovered readers of a service's responses.
 
-    `service` is the service's full name. If the readers cannot be listed, because a name is not
-    UTF-8 or the node is destroyed, every reader counts as discovered.
+    `service` is the full name. If the list cannot be read, every reader counts as discovered.
     """
     topic = f"rr{service}Reply"
 
@@ -193,7 +189,7 @@ def reader_of(header: Any) -> bytes | None:
 
 
 def is_taken(send: Callable[[], None]) -> bool:
-    """Send a response by `send()`; return whether the middleware accepted the response."""
+    """Call `send`, and return whether the middleware accepted the response."""
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         send()
@@ -204,17 +200,16 @@ _REQUESTER: ContextVar[bytes | None] = ContextVar("requester", default=None)
 
 
 def requester() -> bytes | None:
-    """Return the gid of the client whose request or goal is being handled.
+    """Return the gid (16 bytes) of the reader of the client whose request or goal is handled.
 
-    The gid (16 bytes) is that of the client's reader of responses. Return None if no handler runs,
-    or if the middleware does not report the gid.
+    Return None outside a handler, or if the middleware does not report the gid.
     """
     return _REQUESTER.get()
 
 
 @contextmanager
 def request_of(header: Any) -> Iterator[None]:
-    """Inside the `with` block, `requester` returns the gid of the client that sent `header`."""
+    """Make `requester` return the client of the request `header` within the `with` block."""
     token = _REQUESTER.set(reader_of(header))
     try:
         yield

@@ -1,10 +1,4 @@
-"""What the sources (see `source`) of one executor share: loop, tasks, pools, exception handler.
-
-Waking up for one message costs about 50 us, reading it 2 to 10. So messages that may come late (a
-recorder's taps, a flooded topic) are collected for a while, as network drivers collect packets
-under load. A `Pool` watches the eventfds of these topics by an epoll of its own. While the pool
-rests, the loop does not watch that epoll, and so is not woken by these messages.
-"""
+"""The state that the sources of one executor share."""
 
 from __future__ import annotations
 
@@ -39,24 +33,24 @@ class Resumable(Protocol):
     """A `Source` that waits until its callback group is free."""
 
     def resume(self) -> None:
-        """Continue to deliver the waiting data."""
+        """Continue to deliver."""
 
 
 class Pooled(Protocol):
     """A `Source` that a `Pool` polls."""
 
     def poll(self) -> bool:
-        """Deliver the waiting data; return whether data are left because the time slice ended."""
+        """Deliver the waiting data. Return True if the time slice ended before."""
 
 
 class Pool:
-    """Polls several `Source`s when a message arrives, and rests for `rest_s` seconds after a poll.
+    """Polls its `Source`s when data arrive, and rests for `rest_s` seconds after each poll.
 
-    Without messages it does not wake the loop. In a flood it rests for FLOOD_REST_S at most: the
-    more messages wait, the longer Fast DDS takes to add more, so a longer rest would cost more than
-    it saves.
+    In a flood of messages it rests for FLOOD_REST_S at most.
     """
 
+    # A wake-up costs about 50 us, reading a message 2 to 10. So messages that may come late are
+    # collected: while the pool rests, the loop does not watch its epoll.
     def __init__(self, loop: AbstractEventLoop, rest_s: float) -> None:
         self._loop = loop
         self._rest_s = rest_s
@@ -73,7 +67,7 @@ class Pool:
         self._epoll.register(fd, select.EPOLLIN)
 
     def remove(self, fd: int) -> None:
-        """Stop polling the source that was added with `fd`. The descriptor must still be open."""
+        """Stop polling the source of `fd`, which must still be open."""
         del self._members[fd]
         self._epoll.unregister(fd)
 
@@ -114,11 +108,12 @@ class Pool:
                 self._resting = self._loop.call_at(rested_s(rest_s), self._poll)
 
     def _rest_after(self, begun_ns: int, *, left: bool) -> float:
-        """Return how long to rest [s]: less in a flood of messages, and 0 if some are `left`."""
+        """Return the time to rest [s], which is 0 if data are `left`."""
         now_ns = time.monotonic_ns()
         self._busy_ns += now_ns - begun_ns
         if left:
             return 0.0
+        # The more messages wait, the longer Fast DDS takes to add one: so rest less in a flood.
         flooded = self._busy_ns > FLOODED_SHARE * (now_ns - self._rested_ns)
         self._busy_ns, self._rested_ns = 0, now_ns
         return min(self._rest_s, FLOOD_REST_S) if flooded else self._rest_s
@@ -179,7 +174,7 @@ class SlowCallbacks:
 
 
 class TimedSteps:
-    """Awaits a coroutine; warns if a step between two awaits blocks the loop for too long."""
+    """Awaits a coroutine, and warns if one of its steps blocks the loop for too long."""
 
     __slots__ = ("_coroutine", "_slow", "_where")
 
@@ -228,12 +223,12 @@ class Runtime:
         self.loop = loop
         self.sync = sync
         self.stale = False
-        """Whether an entity was created or destroyed; then call `sync` before the next callback."""
+        """Whether `sync` must be called before the next callback."""
         self.tasks: set[asyncio.Task[None]] = set()
         self.slow = SlowCallbacks()
         self.slice_ns = SLICE_NS
         self.flooded: set[object] = set()
-        """Each `Source` that had data left at the end of its last time slice."""
+        """The sources with data left at the end of their last time slice."""
         self._pools: dict[float, Pool] = {}
         self._on_exception = on_exception
         self._on_idle: Callable[[], None] | None = None
@@ -254,25 +249,25 @@ class Runtime:
         )
 
     def pool(self, rest_s: float) -> Pool:
-        """Return the `Pool` whose rest after each poll is `rest_s` seconds; create it if needed."""
+        """Return the `Pool` with rests of `rest_s` seconds. Create it if needed."""
         if rest_s not in self._pools:
             self._pools[rest_s] = Pool(self.loop, rest_s)
         return self._pools[rest_s]
 
     def close_pools(self) -> None:
-        """Close the file descriptors of the pools; every `Source` must be detached."""
+        """Close all pools. Every `Source` must be detached before."""
         for pool in self._pools.values():
             pool.close()
         self._pools.clear()
 
     def mark_flooded(self, source: object) -> None:
-        """Shorten the next slices of `source`, because it had data left at the end of its slice."""
+        """Record that `source` had data left at the end of its time slice."""
         if source not in self.flooded:
             self.flooded.add(source)
             self._share_turn()
 
     def mark_drained(self, source: object) -> None:
-        """Undo `mark_flooded`: the `Source` has no data left."""
+        """Record that `source` has no data left."""
         if source in self.flooded:
             self.flooded.remove(source)
             self._share_turn()
@@ -287,7 +282,7 @@ class Runtime:
         where: str,
         finished: Callable[[], None] | None = None,
     ) -> asyncio.Task[None]:
-        """Run an async callback as a task; call `finished` when it ends, even if it has failed."""
+        """Run an async callback as a task, and call `finished` when the task ends in any way."""
 
         async def run() -> None:
             try:
@@ -310,17 +305,17 @@ class Runtime:
         return task
 
     def on_idle(self, callback: Callable[[], None]) -> None:
-        """Call `callback` when no task runs any more: at once if no task runs now."""
+        """Call `callback` when no task runs, at once if none runs now."""
         self._on_idle = callback
         if not self.tasks:
             callback()
 
     def park(self, group: CallbackGroup, source: Resumable) -> None:
-        """Resume a `Source` when its callback group becomes free."""
+        """Resume `source` when `group` is released."""
         self._parked.setdefault(group, {})[source] = None
 
     def release(self, group: CallbackGroup) -> None:
-        """Resume each `Source` that was parked because `group` was busy."""
+        """Resume the sources that wait for `group`."""
         for source in self._parked.pop(group, ()):
             source.resume()
 

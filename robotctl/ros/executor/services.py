@@ -26,7 +26,7 @@ from robotctl.ros.executor.source import EventFdSource, TakeFailed
 
 
 class ServiceSource(EventFdSource):
-    """Runs a service's handler, synchronous or async, for each request; sends the response."""
+    """Runs a service's handler for each request, and sends the response."""
 
     announcements = (Announcement.REQUEST,)
 
@@ -70,16 +70,13 @@ class ServiceSource(EventFdSource):
 
 
 class ClientSource(EventFdSource):
-    """Waits for the responses to a service client, and completes the future of each request.
-
-    Its callback group does not hold back responses: a response runs no callback of the group, and
-    an async callback that awaits a client of its own group would otherwise never end.
-    """
+    """Completes the futures of a service client's requests."""
 
     announcements = (Announcement.RESPONSE,)
 
     def __init__(self, runtime: Runtime, client: Client, where: str, executor: Any) -> None:
         super().__init__(runtime, client, client.handle, where)
+        # A callback that awaits a client of its own group must not hold back the response.
         self._reentrant, self._custom_group = True, False
         self._executor = executor
         self._immediate = ImmediateCallbacks(runtime.report)
@@ -107,11 +104,11 @@ class ClientSource(EventFdSource):
 
 
 EXPIRY_POLL_S = 1.0
-"""The time between two checks for expired goals: rcl does not announce their expiry."""
+"""The time between two checks for expired goals, which rcl does not announce."""
 
 
 class _ActionSource(EventFdSource):
-    """Base class for actions: it decides when rclpy's Waitable takes data and runs callbacks."""
+    """The base class of actions, which drives rclpy's Waitable."""
 
     def __init__(
         self, runtime: Runtime, entity: Any, handle: Any, where: str, executor: Any
@@ -127,7 +124,7 @@ class _ActionSource(EventFdSource):
 
 
 class ActionServerSource(_ActionSource):
-    """An action server; it removes a finished goal after the goal's result timeout."""
+    """Serves an action server, and removes a finished goal after its result timeout."""
 
     announcements = (
         Announcement.GOAL_REQUEST,
@@ -150,7 +147,7 @@ class ActionServerSource(_ActionSource):
             for kind, service in services.items()
         }
         self._answerable: deque[dict[str, Any]] = deque()
-        """Requests that can be answered: the reader of their response is discovered."""
+        """Requests whose client can receive the response."""
 
     def attach(self) -> None:
         super().attach()
@@ -217,7 +214,7 @@ class ActionServerSource(_ActionSource):
 
 
 def _name_of(server: ActionServer) -> str:
-    """Return the name of the action as the user gave it, which may be relative."""
+    """Return the action's name as the user gave it, perhaps relative."""
     function = ctypes.CDLL("librcl_action.so").rcl_action_server_get_action_name
     function.argtypes, function.restype = [ctypes.c_void_p], ctypes.c_char_p
     with server._handle:
@@ -226,11 +223,7 @@ def _name_of(server: ActionServer) -> str:
 
 
 class ActionClientSource(_ActionSource):
-    """An action client: sets the futures of responses, and runs the callbacks for feedback.
-
-    Its callback group holds back only feedback, which runs a callback. Responses and status only
-    set futures, so they are not held back (see `ClientSource`).
-    """
+    """Sets the futures of an action client's responses, and runs its feedback callbacks."""
 
     announcements = (
         Announcement.GOAL_RESPONSE,
@@ -245,6 +238,7 @@ class ActionClientSource(_ActionSource):
         self._custom_group = False
 
     def blocked(self) -> bool:
+        # Only feedback runs callbacks of the group: see `take`.
         return False
 
     def take(self) -> Any:

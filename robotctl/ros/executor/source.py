@@ -1,4 +1,4 @@
-"""The base classes of sources, which pass the data of one entity from rcl to a callback; timers."""
+"""Sources, which pass the data of one ROS entity from rcl to its callback."""
 
 from __future__ import annotations
 
@@ -25,14 +25,10 @@ RETRY_AFTER_FAILED_TAKE_S = 0.1
 
 
 class Source(ABC):
-    """Runs the callback of one entity in the loop, from `attach` to `detach`.
-
-    While an async callback occupies the entity's callback group, the source is parked; it is
-    resumed when that callback ends.
-    """
+    """Runs the callback of one ROS entity in the event loop, from `attach` to `detach`."""
 
     woken_by: ClassVar[str]
-    """What wakes the loop for this class of source, in words for the debug log."""
+    """The cause of a wake-up, as text for the debug log."""
 
     def __init__(self, runtime: Runtime, entity: Any, handle: Any, where: str) -> None:
         self.runtime = runtime
@@ -60,14 +56,14 @@ class Source(ABC):
 
     @abstractmethod
     def detach(self) -> None:
-        """Stop delivering, and release the entity; a second call does nothing."""
+        """Stop delivering, and release the entity. A second call does nothing."""
 
     @abstractmethod
     def resume(self) -> None:
-        """Continue to deliver the waiting data; called when the callback group is free again."""
+        """Continue to deliver. The runtime calls this when the callback group is free again."""
 
     def blocked(self) -> bool:
-        """Return whether the callback group forbids a callback now; if so, `resume` will follow."""
+        """Return whether the callback group is busy. If it is, `resume` follows later."""
         if self._reentrant:
             return False
         if self._custom_group:
@@ -80,7 +76,10 @@ class Source(ABC):
         return True
 
     def run_callback(self, callback: Callable[[], Any]) -> bool:
-        """Run the callback and return True. Return False if its group is busy: `resume` follows."""
+        """Run `callback` and return True, or return False if a custom callback group refuses.
+
+        After False, `resume` follows later. An exception goes to the exception handler.
+        """
         if self._custom_group and not self.group.beginning_execution(self.entity):
             self.runtime.park(self.group, self)
             return False
@@ -109,14 +108,14 @@ class Source(ABC):
 
 
 class EventFdSource(Source):
-    """A `Source` with an eventfd, to which rcl writes when the entity has new data."""
+    """A `Source` that rcl wakes by an eventfd."""
 
     woken_by = "eventfd"
     announcements: ClassVar[tuple[Announcement, ...]]
     drains_first: ClassVar[bool] = True
-    """Whether `attach` looks for data, because earlier data may never be announced."""
+    """Whether `attach` also delivers data that arrived earlier."""
     announced = 0
-    """The count that the last read of the eventfd returned."""
+    """The last count that was read from the eventfd."""
 
     pool: Pool | None = None
     """The `Pool` that watches the eventfd; None if the loop itself watches it."""
@@ -156,7 +155,7 @@ class EventFdSource(Source):
         self.handle.__exit__(None, None, None)
 
     def listen(self, pool: Pool | None) -> None:
-        """Add the eventfd to `pool`; if that is None, the loop watches the eventfd itself."""
+        """Watch the eventfd by `pool`, or by the loop if `pool` is None."""
         self.stop_listening()
         if pool is None:
             watch(self.runtime.loop, self._fd, self.poll)
@@ -165,7 +164,7 @@ class EventFdSource(Source):
         self.pool, self._listening = pool, True
 
     def stop_listening(self) -> None:
-        """Stop watching the eventfd: from now on, only a call of `poll` delivers data."""
+        """Stop watching the eventfd. Then only a call of `poll` delivers data."""
         if not self._listening:
             return
         self._listening = False
@@ -179,7 +178,7 @@ class EventFdSource(Source):
             os.eventfd_write(self._fd, 1)
 
     def poll(self) -> bool:
-        """Deliver the waiting data; return whether data are left because the time slice ended."""
+        """Deliver the waiting data. Return True if the time slice ended before."""
         try:
             self.announced = os.eventfd_read(self._fd)
         except BlockingIOError:
@@ -194,7 +193,7 @@ class EventFdSource(Source):
         return self.drain()
 
     def drain(self) -> bool:
-        """Deliver until no data are left or the time slice ends; return True if the slice ended."""
+        """Deliver until no data are left or the time slice ends. Return True if the slice ended."""
         runtime = self.runtime
         last = time.monotonic_ns()
         end = last + runtime.slice_ns
@@ -236,7 +235,7 @@ class EventFdSource(Source):
         self.runtime.loop.call_later(RETRY_AFTER_FAILED_TAKE_S, self.resume)
 
     def continue_later(self) -> bool:
-        """Deliver the rest in the next loop iteration, as the time slice ended; return True."""
+        """Schedule delivery of the remaining data in a later turn of the loop, and return True."""
         self.runtime.mark_flooded(self)
         os.eventfd_write(self._fd, 1)
         return True
@@ -250,12 +249,12 @@ class EventFdSource(Source):
         raise NotImplementedError
 
     def deliver(self, item: Any) -> Coroutine[Any, Any, Any] | None:
-        """Run the callback with an item; return its coroutine if it is async, or None."""
+        """Run the callback with `item`. Return its coroutine, or None if it is not async."""
         raise NotImplementedError
 
 
 class TakeFailed(Exception):
-    """rcl could not take an item; without a pause, the next attempt would fail too."""
+    """rcl could not take an item. `reason` is the original exception."""
 
     def __init__(self, reason: Exception) -> None:
         super().__init__(str(reason))
@@ -271,11 +270,7 @@ _ANY_JUMP = JumpThreshold(
 
 
 class TimerSource(Source):
-    """A timer on the steady, system or ROS clock, with cancel and reset.
-
-    While /clock drives the ROS clock, no Linux timer can know when this timer is due. In this case
-    the timer is checked at each message of /clock.
-    """
+    """Calls the callback of a timer on the steady, system or ROS clock."""
 
     woken_by = "timerfd"
 
@@ -326,6 +321,8 @@ class TimerSource(Source):
             return
         remaining_ns = self.handle.time_until_next_call()
         clock = self.entity.clock
+        # While /clock drives the ROS clock, no Linux timer can know when this timer is due:
+        # `_on_jump` checks it at each message of /clock.
         if remaining_ns is None or (
             remaining_ns > 0 and isinstance(clock, ROSClock) and clock.ros_time_is_active
         ):

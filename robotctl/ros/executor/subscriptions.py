@@ -1,4 +1,4 @@
-"""Sources (see `source`) of QoS events, and of subscriptions, which are read without rclpy."""
+"""Sources of QoS events and of subscriptions."""
 
 from __future__ import annotations
 
@@ -30,12 +30,7 @@ from robotctl.ros.executor.source import EventFdSource, TakeFailed
 
 
 class QosEventSource(EventFdSource):
-    """Passes the status of a QoS event of a publisher or subscription to its callback.
-
-    rmw_fastrtps also announces events from before `attach`, but reports their changes as zero
-    (`RMWSubscriptionEvent::set_on_new_event_callback`). So a status's changes are computed here,
-    by comparing its counts with those of the previous status.
-    """
+    """Passes the status of a QoS event of a publisher or subscription to its callback."""
 
     announcements = (Announcement.QOS_EVENT,)
     # `attach` itself handles earlier events; to handle them again would report them twice.
@@ -45,7 +40,7 @@ class QosEventSource(EventFdSource):
         super().__init__(runtime, handler, getattr(handler, "_EventHandler__event"), where)  # noqa: B009
 
         self._counts: dict[str, int] = {}
-        """The counts of the last status that the callback got."""
+        """The counts of the previous status."""
 
     def attach(self) -> None:
         # The middleware still reports the changes now, before its callback is set.
@@ -67,6 +62,8 @@ class QosEventSource(EventFdSource):
         status = self.handle.take_event()
         fields = _fields(status)
         counts = _counts_of(fields)
+        # rmw_fastrtps announces events from before `attach` with changes of zero
+        # (`RMWSubscriptionEvent::set_on_new_event_callback`): so compute the changes here.
         changes = {f"{name}_change": count - self._counts[name] for name, count in counts.items()}
         self._counts = counts
         if "total_count" in counts and not any(changes.values()):
@@ -81,20 +78,16 @@ def _fields(status: Any) -> dict[str, Any]:
 
 
 def _counts_of(fields: dict[str, Any]) -> dict[str, int]:
-    """Return the counts that also have a `_change` field; an incompatible-type status has none."""
+    """Return the counts that have a `_change` field."""
     return {name: count for name, count in fields.items() if f"{name}_change" in fields}
 
 
 UNKNOWN_COUNT: Final = 1 << 62
-"""Stands for an unknown number of waiting messages: they are taken until none is left."""
+"""Stands for an unknown number of waiting messages."""
 
 
 class _TakenSource(EventFdSource):
-    """The base class for subscriptions; it takes messages in serialized form.
-
-    If the middleware announces how many messages have arrived, it takes only that number: one more
-    attempt, which finds nothing, costs half as much as taking a message.
-    """
+    """The base class of subscriptions. It takes messages in serialized form."""
 
     announcements = (Announcement.MESSAGE,)
 
@@ -107,7 +100,7 @@ class _TakenSource(EventFdSource):
         decode: Decode | None,
         views: bool = False,
     ) -> None:
-        """Pass `decode(data)` to the receiver or, if `decode` is None, the fields of a `Taken`."""
+        """Pass `decode(data)` to the receiver, or the fields of a `Taken` if `decode` is None."""
         super().__init__(runtime, subscription, subscription.handle, where)
         self._taker = SerializedTaker(self.handle.pointer, views=views, bare=decode is not None)
         self._decode = decode
@@ -120,10 +113,10 @@ class _TakenSource(EventFdSource):
 
     @abstractmethod
     def receiver_of(self, callback: Any) -> Callable[..., Any]:
-        """Return the function to call for each message, made from the subscription's callback."""
+        """Return the receiver of messages for the subscription's `callback`."""
 
     def check_rate(self) -> None:
-        """Start or stop collecting messages by rate; called each POLLS_PER_RATE_CHECK polls."""
+        """Start or stop collecting messages. Called every POLLS_PER_RATE_CHECK polls."""
 
     def detach(self) -> None:
         if not self.closed:
@@ -163,6 +156,7 @@ class _TakenSource(EventFdSource):
         runtime, taker = self.runtime, self._taker
         take: Callable[[], Any] = taker.take
         decode, receive = self._decode, self._receive
+        # Only the announced number: one more attempt would cost half as much as a message.
         left = self.announced if self._is_counted else UNKNOWN_COUNT
         self._is_counted = self._counts
         clock = time.monotonic_ns
@@ -204,11 +198,7 @@ class _TakenSource(EventFdSource):
 
 
 class SubscriptionSource(_TakenSource):
-    """A subscription, typed or raw, whose callback accepts (message) or (message, info).
-
-    While more than 2,000 messages a second arrive, and if the queue's depth is 100 or more, a pool
-    collects the messages for 2 ms, which saves a third of the CPU time.
-    """
+    """Serves a typed or raw subscription. In a flood, messages may come FLOOD_REST_S late."""
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
         decode = bytes if subscription.raw else decoder_of(subscription.msg_type)
@@ -234,7 +224,7 @@ class SubscriptionSource(_TakenSource):
 
 
 class RawTapSource(_TakenSource):
-    """A raw subscription with a `RawTap`, whose sink gets the messages directly."""
+    """Passes the messages of a raw subscription directly to the sink of its `RawTap`."""
 
     woken_by = "eventfd, collected"
 
@@ -252,7 +242,7 @@ class RawTapSource(_TakenSource):
             self.stop_listening()
 
     def poll_now(self) -> None:
-        """Deliver the messages that have been announced so far."""
+        """Deliver the messages announced so far."""
         if not self.closed:
             self.poll()
 
@@ -261,9 +251,9 @@ class RawTapSource(_TakenSource):
 
 
 def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
-    """Return how long [s] to collect messages: `wanted_s`, or less if the queue is short.
+    """Return the longest time [s], up to `wanted_s`, in which the queue of `qos` does not overflow.
 
-    Return 0 if the queue is too short for a rest that saves CPU time.
+    Return 0 if that time is too short to save CPU time.
     """
     if qos.history == HistoryPolicy.KEEP_ALL:
         return wanted_s

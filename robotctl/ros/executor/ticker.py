@@ -1,4 +1,4 @@
-"""A ticker on absolute times. It uses ctypes: `os.timerfd_create` came only with Python 3.13."""
+"""A ticker on absolute times, driven by a Linux timer."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ class _TimerSpec(ctypes.Structure):
 
 @cache
 def _libc() -> Any:
+    # `os.timerfd_create` came only with Python 3.13.
     library = ctypes.CDLL(None, use_errno=True)
     library.timerfd_settime.argtypes = [
         ctypes.c_int,
@@ -43,7 +44,7 @@ def _fail(what: str) -> OSError:
 
 
 class TimerFd:
-    """A timer on the steady clock; its descriptor `fd` is readable when the timer has expired."""
+    """A timer on the steady clock. Its descriptor `fd` is readable after an expiry."""
 
     __slots__ = ("fd",)
 
@@ -71,14 +72,14 @@ class TimerFd:
         self._set(0, 0, 0)
 
     def read(self) -> int:
-        """Return how many times the timer expired since the last read; do not wait."""
+        """Return the number of expiries since the last read, without waiting."""
         try:
             return int.from_bytes(os.read(self.fd, 8), "little")
         except BlockingIOError:
             return 0
 
     def close(self) -> None:
-        """Close the file descriptor; a second call does nothing."""
+        """Close the file descriptor. A second call does nothing."""
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1
@@ -95,40 +96,31 @@ MAX_HZ = 10_000.0
 
 
 class Tick(NamedTuple):
-    """One tick of a `Ticker`; times are steady nanoseconds (`time.monotonic_ns`).
-
-    Ticks that fall due while the loop is busy are skipped, not delivered in a burst.
-    """
+    """One tick of a `Ticker`, with times of `time.monotonic_ns`."""
 
     t_ns: int
     """When the tick was delivered."""
     due_ns: int
     """When the tick was due."""
     missed: int
-    """The number of ticks that were skipped since the last delivered one."""
+    """The number of ticks skipped since the last delivered one."""
 
 
 class Ticker:
-    """Ticks on an absolute schedule of the steady clock, for one task at a time.
-
-    The first tick comes within a period after the first wait. Each later tick is due a whole number
-    of periods after the first, even if a tick is handled late. All tickers of one rate in a process
-    tick at the same times. A Linux timer drives them, because asyncio's timers round up to 1 ms.
+    """Ticks at a fixed rate on the steady clock, without drift, for one task at a time.
 
         async for tick in Ticker(50.0):
             step(tick.t_ns)
 
-    `await Ticker(50.0).run(on_tick)` calls a function instead, one loop iteration earlier.
-
-    The timer is released when the ticker is garbage collected; `close` or `async with` releases
-    it at a known point.
+    All tickers of one rate in a process tick together. Ticks that fall due while the task is busy
+    are skipped. `close`, `async with` or garbage collection releases the timer.
     """
 
     def __init__(self, hz: float, *, lead_ns: int = 0) -> None:
-        """Tick `hz` times a second, `lead_ns` [ns] before tickers of this rate without a lead.
+        """Tick `hz` times a second, `lead_ns` before tickers of this rate without a lead.
 
         Raises:
-            ValueError: hz is not a finite number in (0, 10000].
+            ValueError: `hz` is not a finite number in (0, 10000].
         """
         if not (math.isfinite(hz) and 0.0 < hz <= MAX_HZ):
             raise ValueError(f"a ticker's rate must be above 0 and at most {MAX_HZ:g} Hz, not {hz}")
@@ -182,7 +174,7 @@ class Ticker:
         self.close()
 
     def close(self) -> None:
-        """Stop ticking, and end an `async for` that waits; a second call does nothing."""
+        """Stop ticking, and end a waiting `async for` or `run`. A second call does nothing."""
         self._closed = True
         timer, self._timer = self._timer, None
         if timer is not None:
@@ -204,6 +196,7 @@ class Ticker:
             return
         if self._timer is None:
             self._loop = loop
+            # Not a timer of asyncio, which rounds up to 1 ms.
             self._timer = TimerFd()
             now_ns = time.monotonic_ns()
             self._due_ns = beat_before(now_ns + self._lead_ns, self.period_ns) - self._lead_ns

@@ -1,8 +1,4 @@
-"""Guard conditions, and Waitables of classes that are not rclpy's: no eventfd announces them.
-
-A thread waits for them in a wait set. When one is ready, the thread pauses, while the loop takes
-the data and runs the callbacks.
-"""
+"""Guard conditions and foreign Waitables, for which a thread waits in a wait set."""
 
 from __future__ import annotations
 
@@ -24,11 +20,11 @@ from robotctl.ros.executor.source import RETRY_AFTER_FAILED_TAKE_S, Source
 
 SHUTDOWN_POLL_S = 0.005
 SHUTDOWN_POLLS = 200
-"""How many times to check, after a signal, whether the context is shut down: for 1 s in all."""
+"""The number of checks, after a signal, for a shutdown of the context: 1 s in all."""
 
 
 class WaitSetSource(Source):
-    """The base class of each `Source` whose entity has no eventfd: `WaitSetThread` waits for it."""
+    """The base class of sources without an eventfd. `WaitSetThread` waits for their entities."""
 
     woken_by = "wait-set thread"
 
@@ -59,11 +55,11 @@ class WaitSetSource(Source):
 
     @abstractmethod
     def run_if_ready(self, wait_set: Any) -> None:
-        """Run the callback, in the loop, if the wait set shows the entity as ready."""
+        """Run the callback if the wait set shows the entity as ready. Called in the loop."""
 
 
 class WaitSetThread:
-    """The thread that waits for each `WaitSetSource` of an executor; starts when first needed."""
+    """The thread that waits for each `WaitSetSource` of an executor."""
 
     def __init__(
         self, runtime: Runtime, context: Context, on_context_down: Callable[[], None]
@@ -81,7 +77,7 @@ class WaitSetThread:
         self._signals: GuardCondition | None = None
 
     def watch_signals(self) -> None:
-        """Begin to close the executor whenever a signal handler of rclpy shuts the context down."""
+        """Close the executor when a signal handler of rclpy shuts the context down."""
         self._signals = SignalHandlerGuardCondition(self._context)
         self._start()
 
@@ -93,7 +89,7 @@ class WaitSetThread:
         self.refresh()
 
     def remove(self, source: WaitSetSource) -> None:
-        """Stop waiting for an entity; release it as soon as the thread no longer uses it."""
+        """Stop waiting for an entity, and release it when the thread no longer uses it."""
         with self._lock:
             if source in self._sources:
                 del self._sources[source]
@@ -143,6 +139,7 @@ class WaitSetThread:
                     return
                 if self._stopping.is_set() or not self._post(self._dispatch, wait_set, sources):
                     return
+                # Pause while the loop takes the data and runs the callbacks.
                 self._taken.acquire()
 
     def _build(self, sources: list[WaitSetSource], held: ExitStack) -> Any:
@@ -192,7 +189,7 @@ class WaitSetThread:
 
     @staticmethod
     def _release(sources: list[WaitSetSource]) -> None:
-        """Allow rclpy to destroy the entities of these sources: the thread does not use them."""
+        """Allow rclpy to destroy the entities of `sources`."""
         for source in sources:
             source.handle.__exit__(None, None, None)
 
@@ -225,8 +222,7 @@ class GuardSource(WaitSetSource):
 class WaitableSource(WaitSetSource):
     """Runs the callbacks of a Waitable whose class is not rclpy's.
 
-    If a method of the Waitable raises an exception, the thread leaves the Waitable out for
-    RETRY_AFTER_FAILED_TAKE_S: a Waitable that stays ready would keep the thread busy.
+    After an exception, the Waitable is left out for RETRY_AFTER_FAILED_TAKE_S.
     """
 
     def __init__(
@@ -303,6 +299,7 @@ class WaitableSource(WaitSetSource):
 
     def _retry_later(self, error: Exception) -> None:
         self.runtime.report(error, self.where)
+        # A Waitable that stays ready would keep the thread busy.
         self.parked = True
         self.runtime.loop.call_later(RETRY_AFTER_FAILED_TAKE_S, self._retry)
 
