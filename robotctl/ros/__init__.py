@@ -1,6 +1,6 @@
 """ROS 2 in the asyncio loop: the only package of robotctl that imports rclpy.
 
-The names of `__all__` are loaded on first use: importing this package does not import rclpy.
+The names of `__all__` are loaded on first use.
 """
 
 from __future__ import annotations

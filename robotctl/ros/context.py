@@ -1,4 +1,4 @@
-"""Opens and closes rclpy contexts that write no log files; joins a ROS domain for a command."""
+"""Opens and closes rclpy contexts that write no log files, and joins a domain for a command."""
 
 from __future__ import annotations
 
@@ -22,20 +22,21 @@ BAD_ARGUMENTS = (
     *(_rclpy.RCLError, _rclpy.RCLInvalidROSArgsError, _rclpy.UnknownROSArgsError),
     *(NameValidationException, ParameterException),
 )
-"""The exceptions that rclpy raises for wrong `--ros-args`."""
+"""The exceptions of rclpy for wrong `--ros-args`."""
 
 
+# Otherwise each command would create an empty file in the user's home, or fail to.
 _NO_LOG_FILE: Final = ("--ros-args", "--disable-external-lib-logs")
-"""Switches off rcl's log file, in which robotctl logs nothing. Otherwise each command would create
-an empty one in the user's home, and fail if the home is not writable."""
+"""Switches off rcl's log file, in which robotctl logs nothing."""
 
+# During discovery, Fast DDS 2.14 may deadlock in `DomainParticipant::set_listener` on its own lock,
+# with the GIL held.
 END_S: Final = 5.0
-"""How long `close_context` may take. During discovery, Fast DDS 2.14 may deadlock in
-`DomainParticipant::set_listener` on its own lock, with the GIL held."""
+"""Limit on the time of `close_context`."""
 
 
 def open_context(domain_id: int, remaps: Iterable[str] = ()) -> Context:
-    """Open a context in ROS domain `domain_id`, without signal handlers; ignore the command line.
+    """Open a context in ROS domain `domain_id`, without signal handlers and command line.
 
     `remaps` are rules FROM:=TO for the names of topics and services.
     """
@@ -50,8 +51,8 @@ def close_context(
 ) -> None:
     """Call the functions of `before`, then destroy the nodes and leave the domain.
 
-    Call this as the last step of a process. If the call takes over END_S, the process prints the
-    stacks of its threads on stderr and ends with exit code 1.
+    Call this as the last step of a process: after END_S, it ends the process with exit code 1 and
+    prints the stacks of all threads on stderr.
     """
     with ExitStack() as leaving:
         faulthandler.dump_traceback_later(END_S, exit=True, file=2)
@@ -65,31 +66,27 @@ def close_context(
 
 
 STDIN: Final = 0
-"""Stdin's descriptor; its only line is read already. It is readable when the command closes it."""
+"""Stdin's descriptor. It is readable when the command has closed stdin."""
 
 SETTLE_S: Final = 3.5
-"""How long discovery may take: a process repeats a lost announcement after 3 s."""
+"""Limit on the time of discovery: a process repeats a lost announcement after 3 s."""
 
 EXPECTED_S: Final = 20.0
-"""How long to wait for a name that exists for sure, because the daemon has discovered it."""
+"""Limit on the wait for a name that the daemon has discovered."""
 
 QUIET_S: Final = 0.1
-"""Discovery counts as complete when the graph has not changed for this time."""
+"""Discovery is complete when the graph has not changed for this time."""
 
 _POLL_S: Final = 0.01
 
 
 class Membership:
-    """A node in a ROS domain; at the end of the `with` block it leaves the domain.
-
-    The module imports little, so that discovery, in the middleware's threads, begins early and
-    goes on while the command imports the rest.
-    """
+    """A node in a ROS domain, which it leaves at the end of the `with` block."""
 
     def __init__(self, domain_id: int, node_name: str) -> None:
         self.domain_id = domain_id
         self.was_certainly_empty = is_certainly_empty(domain_id)
-        """Whether the domain surely had no other process when this process joined it."""
+        """Whether the domain surely had no other process before this one."""
 
         self.since_s = time.monotonic()
         self._context = open_context(domain_id)
@@ -101,18 +98,19 @@ class Membership:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         # Imported only here: the middleware discovers other processes during the import.
+        # The module imports little, so that discovery begins early.
         from robotctl.ros.graph.discovery import Discovery
 
         self.discovery = Discovery(self.node, domain_id)
 
     def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
-        """Wait until `is_known()` is true; return whether it became true in time.
+        """Wait until `is_known()` is true. Return whether it became true in time.
 
-        The wait ends SETTLE_S after the domain was joined, or as soon as discovery is complete or
-        there is no other process. If `expected`, only the limit EXPECTED_S ends the wait.
+        The wait ends when discovery is complete, SETTLE_S after the domain was joined at the
+        latest. With `expected`, only EXPECTED_S limits the wait.
 
         Raises:
-            asyncio.CancelledError: Stdin was closed: the command has ended.
+            asyncio.CancelledError: Stdin was closed.
         """
         until_s = self.since_s + (EXPECTED_S if expected else SETTLE_S)
         while not is_known():

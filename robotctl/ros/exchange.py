@@ -30,7 +30,7 @@ def run(work: Coroutine[Any, Any, None]) -> None:
     """Run `work` in an event loop until it is done, or until stdin is closed.
 
     Raises:
-        asyncio.CancelledError: Stdin was closed: the command that started this process has ended.
+        asyncio.CancelledError: Stdin was closed.
     """
     asyncio.run(_until_stdin_ends(work))
 
@@ -96,7 +96,7 @@ async def call(visitor: Membership, request: dict[str, Any], send: Send) -> None
 
 
 def _type_of(name: str, wanted: str, types: list[str]) -> str:
-    """Return the type of the service to call: `wanted` or, if that is "", the only one of `types`.
+    """Return the type of the service: `wanted` or, if that is "", the only one of `types`.
 
     Raises:
         UsageError: `types` lacks the wanted type, or has several while `wanted` is "".
@@ -132,7 +132,7 @@ def _definition(type_name: str) -> Definition:
 async def listen(visitor: Membership, request: dict[str, Any], send: Send) -> None:
     """Report type and definition of a topic, then each message, until cancelled.
 
-    The first report is {"type", "definition", "publishers"}; each message is {"received_ns",
+    The first report is {"type", "definition", "publishers"}. Each message is {"received_ns",
     "source_ns", "size", "publisher"}, with "data" in base64 if the request asks for data.
 
     Raises:

@@ -1,10 +1,4 @@
-"""The classes of message types, by name, and the types of a velocity command.
-
-Type names come from other processes and from files, which must not choose what Python imports. So
-only types of installed packages are imported. `NO_PUBLISHER_EVENTS` and
-`NO_SUBSCRIPTION_EVENTS` switch off rclpy's default event handlers: each takes a file descriptor,
-and what it reports can be read from the graph.
-"""
+"""The classes of message types, by name, and the types of a velocity command."""
 
 from __future__ import annotations
 
@@ -44,11 +38,12 @@ def type_name_of(message_class: Any) -> str:
 
 @lru_cache(maxsize=1024)
 def message_class(type_name: str) -> Any:
-    """Return the class of `pkg/msg/T`, or of a service or action type such as `pkg/srv/T_Event`.
+    """Return the class of a message, service or action type, such as `pkg/srv/T_Event`.
 
     Raises:
         UnusableType: The name is invalid, or the type is not installed or cannot be loaded.
     """
+    # Other processes and files must not choose what Python imports: only installed packages.
     name = installed_name(type_name)
     try:
         module = import_module(f"{name.package}.{name.kind}")
@@ -62,10 +57,11 @@ def message_class(type_name: str) -> Any:
 
 
 def _is_ctrl_c() -> bool:
-    """Return whether a KeyboardInterrupt may be a Ctrl-C: only the main thread gets those."""
+    """Return whether a KeyboardInterrupt may be a Ctrl-C, which only the main thread gets."""
     return threading.current_thread() is threading.main_thread()
 
 
+# Without rclpy's default event handlers, each of which takes a file descriptor.
 NO_PUBLISHER_EVENTS = PublisherEventCallbacks(use_default_callbacks=False)
 NO_SUBSCRIPTION_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
@@ -82,7 +78,7 @@ def subscribe_raw(
 
 @dataclass(frozen=True, slots=True)
 class OwnTopic:
-    """A topic of robotctl with its offered QoS; a relative `name` is in the robot's namespace."""
+    """A topic of robotctl with its offered QoS. A relative `name` is in the robot's namespace."""
 
     name: str
     message_class: Any
@@ -107,14 +103,14 @@ COMMANDS = {
     CommandQos.BEST_EFFORT: QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
     CommandQos.TRANSIENT_LOCAL: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
 }
-"""Value of `command.qos` -> profile. Depth 1: a command that waits is at most one tick old."""
+"""Value of `command.qos` -> profile. With depth 1, a waiting command is at most one tick old."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommandType:
-    """A message type of the velocity command, with the functions that encode and decode it.
+    """A message type of the velocity command, with its encoder and decoder.
 
-    `encode` returns a serialized message; `decode` raises `struct.error` if data are missing.
+    `decode` raises `struct.error` if data are missing.
     """
 
     type_name: str
@@ -122,7 +118,7 @@ class CommandType:
     encode: Callable[[Twist], bytes]
     decode: Callable[[bytes], Twist]
     qos: QoSProfile = field(default_factory=lambda: COMMAND)
-    """What our publisher offers, and what the simulated robot requests."""
+    """The QoS of our publisher, and of the simulated robot's subscription."""
 
     @property
     def message_class(self) -> Any:
@@ -135,7 +131,7 @@ PLAIN = CommandType(TWIST, encode_twist, decode_twist)
 
 
 def stamped(frame_id: str) -> CommandType:
-    """Return a CommandType for TwistStamped; its `encode` sets `frame_id` and the present time."""
+    """Return a CommandType for TwistStamped, with `frame_id` and the time of encoding."""
     encoder = StampedTwistEncoder(frame_id)
     return CommandType(
         TWIST_STAMPED,

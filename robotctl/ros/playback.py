@@ -1,7 +1,4 @@
-"""Publishes recorded messages on ROS again.
-
-`serialized_type` avoids importing a whole message package and numpy: 80 ms of CPU for Odometry.
-"""
+"""Publishes recorded messages on ROS again."""
 
 from __future__ import annotations
 
@@ -36,10 +33,10 @@ BLOCKED_S: Final = 5.0
 """How long a replay at full speed waits for a subscriber that does not acknowledge."""
 
 ACKNOWLEDGED_POLL_S: Final = 0.001
-"""How often [s] to check for acknowledgements, which come after about 5 ms."""
+"""The time between two checks for acknowledgements, which come after about 5 ms."""
 
 MAX_OPEN_REQUESTS: Final = 10_000
-"""Limit on the sent requests that are remembered: a second event of each may follow."""
+"""Limit on the remembered requests, of which a second event may follow."""
 
 _CLOCK = struct.Struct("<4siI")
 """rosgraph_msgs/Clock: encapsulation, seconds, nanoseconds."""
@@ -60,20 +57,16 @@ def sender(publisher: Publisher) -> Callable[[bytes], bool]:
 
 
 class PatientSender:
-    """Publishes messages no faster than reliable subscribers acknowledge them.
-
-    After `in_flight` messages it waits until all are acknowledged, at most BLOCKED_S. A KEEP_ALL
-    queue would do the same, but with Fast DDS 2.14 one lost message could then block a subscriber
-    forever: newer messages fill the subscriber's queue, and then the subscriber refuses each
-    retransmission of the lost message (`DataReaderHistory::received_change_keep_last`).
-    """
+    """Publishes messages no faster than reliable subscribers acknowledge them."""
 
     def __init__(self, publisher: Publisher, in_flight: int, stopped: threading.Event) -> None:
-        """Publish with `publisher`, and wait after `in_flight` messages, or after the depth of the
-        publisher's queue if that is less; setting `stopped` ends a wait."""
+        """Wait after `in_flight` messages, or the depth of the publisher's queue if that is less.
+
+        Setting `stopped` ends a wait.
+        """
         self.topic = str(publisher.topic_name)
         self.given_up = 0
-        """How many waits ended before all messages were acknowledged."""
+        """The number of waits that ended before all messages were acknowledged."""
 
         self._send = sender(publisher)
         self._publisher = publisher
@@ -81,8 +74,11 @@ class PatientSender:
         self._in_flight = min(in_flight, int(publisher.qos_profile.depth))
         self._unacknowledged = 0
 
+    # Not with a KEEP_ALL queue: with Fast DDS 2.14, one lost message could then block a subscriber
+    # forever. Newer messages fill its queue, and then it refuses each retransmission of the lost
+    # message (`DataReaderHistory::received_change_keep_last`).
     def __call__(self, data: bytes) -> bool:
-        """Publish a message; return whether the middleware accepted it."""
+        """Publish a message, and return whether the middleware accepted it."""
         if self._unacknowledged >= self._in_flight:
             self.given_up += not self._is_acknowledged()
             self._unacknowledged = 0
@@ -99,20 +95,16 @@ class PatientSender:
 
 
 class RequestSender:
-    """Reads a request from a serialized introspection event, and sends it to the service.
-
-    A recording may have two events of one request, one by the client and one by the server, with
-    different client gids. The request is sent only for the first of these two events.
-    """
+    """Reads a request from a serialized introspection event, and sends it to the service."""
 
     def __init__(self, client: Client, event_type: Any) -> None:
         self._client = client
         self._event_type = event_type
         self._balances: OrderedDict[tuple[int, str], int] = OrderedDict()
-        """Request -> its number of events from clients minus its number of events from servers."""
+        """Request -> its number of client events minus its number of server events."""
 
     def __call__(self, data: bytes) -> bool | None:
-        """Send the event's request; return whether that worked, or None if it is not to be sent."""
+        """Send the event's request, and return whether that worked. Return None for no request."""
         try:
             event = deserialize_message(data, self._event_type)
         except _rclpy.RCLError:
@@ -126,6 +118,8 @@ class RequestSender:
         return True
 
     def _was_sent(self, event: Any) -> bool:
+        # Client and server record one event each of a request, with different client gids. The
+        # request is sent for the first of the two.
         info = event.info
         key = (info.sequence_number, repr(event.request[0]))  # bytes differ in their padding
         balance = self._balances.pop(key, 0)
@@ -138,18 +132,18 @@ class RequestSender:
 
 
 _WORD: Final = re.compile(r"(?<=.)(?=[A-Z][a-z])|(?<=[a-z0-9])(?=[A-Z])")
-"""The places in a type name where rosidl puts an underscore, for the name of the module."""
+"""The places in a type name at which rosidl puts an underscore, for the name of the module."""
 
 _OF_RCLPY: Final = (
     *("type_support", "create_ros_message", "destroy_ros_message"),
     *("convert_from_py", "convert_to_py"),
 )
-"""What rclpy reads from a type's metaclass, where `type_support` is named `_TYPE_SUPPORT`, etc."""
+"""The attributes of a type's metaclass that rclpy reads, as `_TYPE_SUPPORT` etc."""
 
 
 @lru_cache(maxsize=1024)
 def serialized_type(type_name: str) -> Any:
-    """Return a class for `pkg/msg/T` without fields, which suffices to publish serialized messages.
+    """Return a class for `pkg/msg/T` without fields, for publishing serialized messages only.
 
     For a type of a service or action, such as `pkg/srv/T_Event`, return the whole class.
 
@@ -159,6 +153,7 @@ def serialized_type(type_name: str) -> Any:
     name = installed_name(type_name)
     if name.kind != "msg":
         return message_class(type_name)
+    # Without importing the message package and numpy, which takes 80 ms of CPU for Odometry.
     suffix = f"msg__msg__{_WORD.sub('_', name.short).lower()}"
     try:
         module = import_module(f"{name.package}.{name.package}_s__rosidl_typesupport_c")
@@ -171,25 +166,23 @@ def serialized_type(type_name: str) -> Any:
 MAX_TEXT: Final = 1 << 20
 MAX_DEPTH: Final = 10_000
 VOLATILE_DEPTH: Final = 1000
-"""The least depth of a volatile topic's queue: a short one loses bursts, a long one is harmless."""
+"""The least depth of a volatile topic's queue. A short one loses bursts, a long one is harmless."""
 
 _INFINITE_SEC: Final = 2_147_483_647
-"""How recorders before Jazzy wrote an infinite time [s]; later recorders write a larger number."""
+"""An infinite time [s] in recordings from before Jazzy. Later ones have a larger number."""
 
 _RELIABILITY = {"1": ReliabilityPolicy.RELIABLE, "2": ReliabilityPolicy.BEST_EFFORT}
 _DURABILITY = {"1": DurabilityPolicy.TRANSIENT_LOCAL, "2": DurabilityPolicy.VOLATILE}
 _RELIABILITY |= {policy.short_key: policy for policy in _RELIABILITY.values()}
 _DURABILITY |= {policy.short_key: policy for policy in _DURABILITY.values()}
-"""Policies by name, and by their number in rmw/types.h, which rosbag2 wrote until version 8 of its
-metadata."""
+"""Policies by name, and by number in rmw/types.h (rosbag2 before metadata version 9)."""
 
 
 def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
-    """Return a profile that matches every subscriber that the recorded publishers matched.
+    """Return a profile that matches all subscribers that the recorded publishers matched.
 
-    `offered` is the topic's `offered_qos_profiles` in a recording. Reliability and durability are
-    the strongest of these profiles, or reliable and volatile if `offered` cannot be read. A
-    volatile topic's depth is at most `most`.
+    `offered` is the topic's `offered_qos_profiles` in a recording. The result is reliable and
+    volatile if `offered` cannot be read. A volatile topic's depth is at most `most`.
     """
     profiles = _profiles(offered)
     reliabilities = [_RELIABILITY.get(str(each.get("reliability"))) for each in profiles]
@@ -212,7 +205,7 @@ def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
 
 
 def latched_depth(offered: str) -> int:
-    """Return how many latched messages a late subscriber gets, 0 if the topic is volatile."""
+    """Return the number of latched messages for a late subscriber, 0 if the topic is volatile."""
     qos = replay_qos(offered)
     return int(qos.depth) if qos.durability is DurabilityPolicy.TRANSIENT_LOCAL else 0
 
@@ -247,23 +240,22 @@ def _span_ns(value: object) -> int:
 
 
 SETTLE_S: Final = 3.5
-"""How long discovery may take: an announcement that was lost is repeated after 3 s."""
+"""Limit on the time of discovery: a lost announcement is repeated after 3 s."""
 
 QUIET_S: Final = 0.03
 """How long the graph must not change: a starting process adds its endpoints one by one."""
 
 MATCH_S: Final = 2.0
+# They take 8 ms, or 0.2 s if a message gets lost. A process that was killed never acknowledges.
 KNOWN_S: Final = 0.5
-"""How long to wait until other processes acknowledge that they know our publishers. They take 8 ms,
-or 0.2 s if a message gets lost; a process that was killed never acknowledges."""
+"""How long to wait until other processes acknowledge that they know our publishers."""
 
 ACKNOWLEDGE_S: Final = 7.0
-"""How long to wait at the end until all messages are acknowledged. A lost message is requested at
-the next heartbeat, which may come only after 3 s."""
+"""How long to wait at the end for acknowledgements. A lost message takes 3 s or more."""
 
+# Few messages get lost while they fit into the shared memory of Fast DDS (512 kB).
 IN_FLIGHT: Final = 250
-"""How many messages a replay at full speed sends before it waits about 5 ms, until all of them are
-acknowledged. Few get lost while they fit into the shared memory of Fast DDS (512 kB)."""
+"""The number of unacknowledged messages at which a replay at full speed waits."""
 
 IN_FLIGHT_BULKY: Final = 5
 """As IN_FLIGHT, for images, point clouds and the like."""
@@ -273,7 +265,7 @@ _MATCHED_POLL_S: Final = 0.002
 
 
 class Unpublishable(Exception):
-    """A topic cannot be published here; the text is the reason, to follow "the topic NAME "."""
+    """A topic cannot be published here. The text follows "the topic NAME "."""
 
 
 class ReplaySession:
@@ -296,18 +288,17 @@ class ReplaySession:
     def settle(self, quiet_s: float = QUIET_S) -> None:
         """Wait until every process is discovered and nothing changed for `quiet_s` seconds.
 
-        The wait ends at the latest SETTLE_S after this process joined the domain. There is no wait
-        if the domain was empty.
+        The wait ends at the latest SETTLE_S after this process joined the domain.
         """
         if not self._is_alone:
             self._discovery.wait(quiet_s, self._joined + SETTLE_S, self.stopped)
 
     def count_subscribers(self, topic: str) -> int:
-        """Return how many subscriptions the topic has in the domain."""
+        """Return the number of subscriptions to the topic in the domain."""
         return int(self._node.count_subscribers(topic))
 
     def count_servers(self, service: str) -> int:
-        """Return how many servers the service has in the domain."""
+        """Return the number of servers of the service in the domain."""
         return int(self._node.count_services(service))
 
     def publishers_of(self, topic: str) -> list[str]:
@@ -337,14 +328,14 @@ class ReplaySession:
         _installed(serialized_type, type_name)
 
     def is_same_type(self, type_name: str, type_hash: str) -> bool:
-        """Return whether the installed type has the hash `type_hash`; True if a hash is unknown."""
+        """Return whether the installed type has the hash `type_hash`. True if a hash is unknown."""
         installed = installed_type(type_name).type_hash
         return not (installed and type_hash) or installed == type_hash
 
     def open(
         self, topic: str, type_name: str, offered_qos: str, *, patient: bool
     ) -> Callable[[bytes], bool]:
-        """Create a publisher, and return a function that sends a serialized message with it.
+        """Create a publisher, and return a function that sends serialized messages with it.
 
         The function returns whether the middleware accepted the message. With `patient`, it waits
         for slow reliable subscribers, at most BLOCKED_S per call.
@@ -370,7 +361,7 @@ class ReplaySession:
         return self._patient[-1]
 
     def open_requests(self, service: str, event_type: str) -> Callable[[bytes], bool | None]:
-        """Create a client; return a `RequestSender`, which sends the requests in recorded events.
+        """Create a client, and return a `RequestSender` for it.
 
         Raises:
             Unpublishable: ROS does not allow the name, or the type cannot be loaded.
@@ -392,11 +383,11 @@ class ReplaySession:
         return lambda time_ns: send(_CLOCK.pack(ENCAPSULATION, *divmod(time_ns, NS_PER_S)))
 
     def count_matched(self) -> int:
-        """Return how many subscriptions have matched our publishers, over all topics."""
+        """Return the number of subscriptions that match our publishers, over all topics."""
         return sum(publisher.get_subscription_count() for publisher in self._publishers)
 
     def wait_for_subscribers(self, expected: int, tell: Callable[[int], object]) -> None:
-        """Wait until `expected` subscriptions have matched; call `tell` with each new count."""
+        """Wait until `expected` subscriptions have matched, and call `tell` with each new count."""
         matched = -1
         while not self.stopped.wait(_POLL_S):
             if self.count_matched() != matched:
@@ -407,11 +398,10 @@ class ReplaySession:
                 return
 
     def wait_for_matches(self) -> None:
-        """Wait until all discovered subscriptions and servers match our publishers and clients.
+        """Wait until our publishers and clients are matched, and other processes know them.
 
-        Then wait until other processes acknowledge that they know our publishers: a message sent
-        before that is lost, or late if the publisher is reliable. Both waits together take at most
-        MATCH_S + KNOWN_S, and no time if there is no other process.
+        Messages sent before are lost, or late if the publisher is reliable. The wait takes at most
+        MATCH_S + KNOWN_S.
         """
         if self._is_alone:
             return
@@ -431,7 +421,7 @@ class ReplaySession:
                         break
 
     def given_up(self) -> list[str]:
-        """Return the topics on which a subscriber has failed to acknowledge in time."""
+        """Return the topics with a subscriber that has failed to acknowledge in time."""
         return sorted(each.topic for each in self._patient if each.given_up)
 
     def _all_matched(self) -> bool:

@@ -1,4 +1,4 @@
-"""QoS profiles: what our publishers offer and our subscriptions request."""
+"""QoS profiles of our publishers and subscriptions."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rclpy.qos import (
 from robotctl.kernel.constants import NS_PER_S
 
 COMMAND = QoSProfile(depth=10)
-"""Reliable, volatile, as ros2_control and Nav2 expect of a velocity command."""
+"""Reliable and volatile, as ros2_control and Nav2 expect of a velocity command."""
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """A late subscriber gets the last message."""
 
 SENSOR = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Best effort, as robots usually publish; a best-effort subscription matches any publisher."""
+"""Best effort, which matches any publisher."""
 
 JOURNAL = QoSProfile(depth=1000)
 
@@ -33,38 +33,35 @@ DIAGNOSTICS = QoSProfile(depth=10)
 ROSOUT = QoSProfile(
     depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, lifespan=Duration(seconds=10)
 )
-"""As `rcl_qos_profile_rosout_default`: a late subscriber gets the log lines of the last 10 s."""
+"""As `rcl_qos_profile_rosout_default`."""
 
 SERVICE_EVENTS = QoSProfile(depth=100)
-"""For introspection topics; reliable, because they record who requested what. A call makes two
-events: its request and its response."""
+"""For introspection topics, where each call makes two events."""
 
 REQUESTS = QoSProfile(depth=1_500)
-"""For a service that must lose no request: of requests, and of responses, this number can wait
-before a new one overwrites the oldest. rclpy's default is 10."""
+"""For a service that must lose no request. rclpy's depth of 10 would lose the oldest."""
 
 PARAMETERS = QoSProfile(depth=10)
-"""For parameter services. With rclpy's depth of 1000, each node would take 0.3 MB more."""
+"""For parameter services. rclpy's depth of 1000 would take 0.3 MB more for each node."""
 
+# If it is short, even RELIABLE drops messages (rmw_fastrtps). If it is long, Fast DDS 2.14, which
+# searches all waiting messages at each new one (`History::get_change_nts`), may never catch up. At
+# 45,000 messages a second, none were lost with 1,500, and three quarters with 3,000.
 RECORDING_DEPTH = 1_500
-"""The depth of a recording subscription's queue. If it is short, even RELIABLE drops messages
-(rmw_fastrtps). If it is long, Fast DDS 2.14, which searches all waiting messages at each new one
-(`History::get_change_nts`), may never catch up. At 45,000 messages a second, none were lost with
-1,500, and three quarters with 3,000."""
+"""The depth of a recording subscription's queue."""
 
 MONITOR = QoSProfile(depth=RECORDING_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For a subscription that matches every publisher of a topic, whatever QoS each offers."""
+"""For a subscription that matches every publisher of a topic."""
 
 RECORDING_DEPTH_BULKY = 100
-"""For images and point clouds: a deeper queue of them could fill the memory before the recorder's
-own queue begins to drop and count messages."""
+"""For images and point clouds, of which a deeper queue could fill the memory."""
 
 
 def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
-    """Return the profile for a recorder: it matches every publisher and loses fewest messages.
+    """Return the profile for a recorder, which matches every publisher in `offered`.
 
-    `offered` has the publishers' profiles; `bulky` is true for images and the like. As in rosbag2,
-    the profile is reliable or transient local only if all publishers offer that.
+    `bulky` is true for images and the like. As in rosbag2, the profile is reliable or transient
+    local only if all publishers offer that.
     """
     offers = list(offered)
     reliable = all(offer.reliability is ReliabilityPolicy.RELIABLE for offer in offers)
@@ -79,9 +76,9 @@ def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
 
 
 def recording_latched(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile | None:
-    """Return the profile of an additional subscription that gets the latched messages.
+    """Return the profile of an additional subscription for the latched messages.
 
-    None if no publisher or every publisher latches: the profile of `recording` is enough.
+    None if no publisher or every publisher latches.
     """
     offers = list(offered)
     latched = [each for each in offers if each.durability is DurabilityPolicy.TRANSIENT_LOCAL]

@@ -1,12 +1,8 @@
-"""`python -m robotctl.ros.queries --report-fd N`: answer the query in the first line on stdin.
+"""`python -m robotctl.ros.queries --report-fd N`: answer one query about ROS, for a command.
 
-The process imports rclpy, joins the domain, waits for discovery and loads types of other packages,
-so that neither the daemon's loop nor the command's own process has to.
-
-The line is a JSON object: `look` is the query (`names`, `topic`, `node`, `listen` or `call`),
-`domain_id` the domain; its other keys are the query's arguments. Each answer is sent as a report to
-descriptor N; a failure has {"error", "exit_code"} and the error's details. The process ends when
-its parent closes stdin.
+The query is a JSON object on the first line of stdin: `look` (`names`, `topic`, `node`, `listen` or
+`call`), `domain_id` and the arguments. Each answer is a report to descriptor N. A failure has
+{"error", "exit_code"} and details. The process ends when its parent closes stdin.
 """
 
 from __future__ import annotations
@@ -29,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str]) -> int:
-    """Answer one query, or report why it failed; return 0 in both cases."""
+    """Answer one query, or report its failure; return 0 in both cases."""
     environment.prepare()
     send = partial(send_report, report_fd(arguments))
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more
@@ -56,7 +52,7 @@ def _look(visitor: Membership, request: dict[str, Any], send: Send) -> None:
     """Run the query in the domain, and `send` its answers.
 
     Raises:
-        RobotctlError: The query is refused; the message says why.
+        RobotctlError: The query is refused.
     """
     # Discovery goes on during these imports.
     if request["look"] in ("listen", "call"):  # these import numpy, which takes 60 ms

@@ -15,11 +15,10 @@ from robotctl.ros.context import close_context, open_context
 from robotctl.ros.executor import AsyncioExecutor, ExceptionHandler
 
 RECORDER_NODE = "_recorder"
-"""The name of the hidden node, whose subscriptions only record and watch. ROS tools do not show
-names that begin with `_`."""
+"""The name of the hidden node, whose subscriptions only record and watch."""
 
 SERVICE_EVENTS = "/_service_event"
-"""Suffix of the introspection topic of a service, on which its calls are published."""
+"""Suffix of the introspection topic of a service."""
 
 
 N = TypeVar("N", bound=Node)
@@ -38,7 +37,7 @@ class Session:
         node_names: Mapping[str, str],
         use_sim_time: bool,
     ) -> None:
-        """Create nodes in `namespace`, and append each to `nodes`; see also `ros_session`."""
+        """Create nodes in `namespace`, and append each to `nodes`."""
         self._context = context
         self.executor = executor
         self._namespace = namespace
@@ -53,20 +52,20 @@ class Session:
         """The nodes that ROS tools show, by their default names (before `--ros-args`)."""
 
         self.last = AsyncExitStack()
-        """Exit stack that is closed after the last callback, before the nodes are destroyed."""
+        """Exit stack to close after the last callback, before the nodes are destroyed."""
 
     def resolve(self, topic: str, role: str = "") -> str:
-        """Return the full name of a topic or service after remapping; `topic` may be relative.
+        """Return the full name of `topic`, a topic or service, after remapping.
 
-        A remap may be for one node only: `role` is the default name of the topic's node, which need
-        not exist yet. Introspection topics are remapped as their service.
+        `role` is the default name of its node, for remaps of one node. The node need not exist.
         """
+        # Introspection topics are remapped as their service.
         service = topic.removesuffix(SERVICE_EVENTS)
         name = self._remapped(service, self._node_names.get(role, role))
         return name if service == topic else name + SERVICE_EVENTS
 
     def _remapped(self, topic: str, node: str) -> str:
-        """Apply the first rule that matches the topic, as rcl does; return the full name."""
+        """Return the full name of `topic` after the first rule that matches, as in rcl."""
 
         def full(name: str) -> str:
             return str(self.helper().resolve_topic_name(name, only_expand=True))
@@ -79,26 +78,24 @@ class Session:
         return full(topic)
 
     def logger_name(self, node_name: str) -> str:
-        """Return a logger's name on ROS; `node_name` is the default name of the logger's node."""
+        """Return the name on ROS of the logger of the node with the default name `node_name`."""
         full = f"{self._namespace}/{self._node_names.get(node_name, node_name)}"
         return full.strip("/").replace("/", ".")
 
     def helper(self) -> Node:
-        """Return the hidden node RECORDER_NODE, which is shared; create it if needed."""
+        """Return the hidden node RECORDER_NODE, which all callers share. Create it if needed."""
         for node in self._nodes:
             if node.get_name() == RECORDER_NODE:
                 return node
         return self.node(RECORDER_NODE)
 
     def node(self, name: str) -> Node:
-        """Create and return a node with this default name, without rclpy's default services.
-
-        The type description service would take 0.1 MB per node, and no ROS tool calls it.
-        """
+        """Create a node with the default name `name`, without rclpy's default services."""
         return self.node_of(Node, name)
 
     def node_of(self, kind: type[N], name: str) -> N:
-        """Create and return a node of class `kind` with the default name `name`, as `node` does."""
+        """Create a node of class `kind` as `node` does."""
+        # The type description service would take 0.1 MB per node, and no ROS tool calls it.
         node = kind(
             self._node_names.get(name, name),
             context=self._context,
@@ -132,12 +129,11 @@ async def ros_session(
     node_names: Mapping[str, str] = MappingProxyType({}),
     use_sim_time: bool = False,
 ) -> AsyncIterator[Session]:
-    """Open a session in ROS domain `domain_id`; no callback runs after the block.
+    """Open a session in ROS domain `domain_id`. No callback runs after the block.
 
-    The context is closed only with `at_end`, which must be the last step of the process (see
-    `close_context`). `remaps` are rules FROM:=TO for topics and services; `node_names` maps the
-    default name of a node, which the code uses, to the name on ROS. `fifo_priority` requests
-    SCHED_FIFO (1..99) for the loop's thread.
+    `at_end` closes the context, and must be the last step of the process. `remaps` are rules
+    FROM:=TO for topics and services. `node_names` maps default names of nodes to names on ROS.
+    `fifo_priority` requests SCHED_FIFO (1..99) for the loop's thread.
     """
     nodes: list[Node] = []
     context = open_context(domain_id, remaps)

@@ -1,7 +1,6 @@
 """The ROS executables: one node per process, for `ros2 run`, launch files and shells.
 
-Each public function is a console script, and returns the exit code. It runs the node of the same
-name until Ctrl-C; only `mode_client` runs no node: it calls a service and ends.
+Each public function is a console script, and returns the exit code.
 """
 
 from __future__ import annotations

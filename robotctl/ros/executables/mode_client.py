@@ -20,11 +20,11 @@ SERVICE_S = 5.0
 """How long to look for the service."""
 
 ANSWER_S = 30.0
-"""How long to wait for the response; a request for IDLE is answered only after the ramp."""
+"""How long to wait for the response. A request for IDLE is answered only after the ramp."""
 
 
 def mode_of(text: str) -> Mode:
-    """Return the mode for `text`: a number from 0 to 3, or a name in any case, with "-" or "_".
+    """Return the mode for `text`, a number or a name in any case, with "-" or "_".
 
     Raises:
         UsageError: There is no such mode.
@@ -62,10 +62,10 @@ async def ask(mode: Mode) -> SetMode.Response:
 
 
 def main() -> int:
-    """Request the mode that the command line names; return 0, or the exit code of a refusal.
+    """Request the mode on the command line, and return 0 or the exit code of a refusal.
 
     Raises:
-        UsageError: The command line names no mode.
+        UsageError: The command line does not have exactly one mode.
         NoDaemon: The service does not exist, or does not respond.
     """
     words = remove_ros_args(sys.argv)[1:]

@@ -1,8 +1,7 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `mode_service` of the first-package tutorial: it serves modes and drives no robot.
+"""Node `mode_service` of the first-package tutorial. It serves modes and drives no robot.
 
-It has the modes and transitions of the daemon, but sends no commands. It refuses MOVING, and
-leaves MOVING for IDLE, while a robot may be in the domain. To drive a robot, use `robotctl start`.
+It refuses MOVING, and leaves MOVING for IDLE, while a robot may be in the domain.
 """
 
 from __future__ import annotations
@@ -29,21 +28,21 @@ from robotctl.ros.graph.discovery import Discovery
 from robotctl.ros.nodes.mode_service import ESTOP, NODE_NAME, SET_MODE, STATUS
 
 LOOK_S = 0.1
-"""How often [s] to look for a robot in the graph."""
+"""The time between two looks for a robot in the graph."""
 
 STATUS_S = 1.0
 
 GIVEN_UP = ("standalone", "config", "recordings")
-"""Parameters of earlier versions of this executable; to set one is an error now."""
+"""Parameters of earlier versions, which are an error now."""
 
 DAEMON = "use: robotctl start --config FILE --recordings DIR"
 OTHER = "ask that one, or give this one another namespace or ROS domain"
 
 DISCOVERY_S = 4.0
-"""How long discovery of other processes may take: 2.6 s at worst on one machine (Fast DDS)."""
+"""Limit on the time of discovery, which takes 2.6 s at worst on one machine (Fast DDS)."""
 
 QUIET_S = 0.1
-"""Discovery counts as complete when no endpoint has changed for this time."""
+"""Discovery is complete when no endpoint has changed for this time."""
 
 NO_ROBOT = "no robot, no odometry and no recorder here: these start conditions are switched off"
 
@@ -52,7 +51,7 @@ class ModeService(Node):
     """Serves `set_mode` and `estop`, and publishes `robot_status`, without a robot."""
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
-        """Create the node in mode IDLE; `options` are those of rclpy's Node."""
+        """Create the node in mode IDLE. `options` are those of rclpy's Node."""
         super().__init__(NODE_NAME, context=context, **{**LOGGER_SERVICES, **options})
         self.mode = Mode.IDLE
         self._status = STATUS.create_publisher(self)
@@ -67,7 +66,7 @@ class ModeService(Node):
         self.get_logger().warning(f"{NO_ROBOT}; to drive one: robotctl start")
 
     def robot(self) -> str:
-        """Return why there may be a robot in the domain ("odometry is published"), or ""."""
+        """Return the sign of a robot in the domain ("odometry is published"), or ""."""
         if self.count_publishers("odom"):
             return "odometry is published"
         if self.count_subscribers("cmd_vel"):
@@ -75,7 +74,7 @@ class ModeService(Node):
         return ""
 
     def request(self, number: int) -> tuple[bool, str]:
-        """Request a mode by its number; return whether it was granted, and a sentence about it."""
+        """Request a mode by its number. Return whether it was granted, and a sentence about it."""
         if number not in [mode.value for mode in Mode]:
             return False, f"no mode {number}: use 0 to {max(Mode).value}"
         wanted = Mode(number)
@@ -122,7 +121,7 @@ class ModeService(Node):
 
 
 def main() -> int:
-    """Run the node until Ctrl-C; return the exit code."""
+    """Run the node until Ctrl-C, and return the exit code."""
     alone = is_certainly_empty(requested_domain(None) or 0)
     return run_node(partial(_only_service, alone))
 
@@ -130,7 +129,7 @@ def main() -> int:
 def _only_service(alone: bool, context: Context) -> ModeService:
     """Create the node if no other node serves `set_mode`.
 
-    `alone` means that no other process was in the domain; otherwise, wait for discovery first.
+    Unless `alone`, wait for discovery first.
 
     Raises:
         UsageError: A parameter of `GIVEN_UP` is set.

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `odom_subscriber` of the first-package tutorial: logs every tenth position."""
+"""Node `odom_subscriber` of the first-package tutorial. It logs every tenth position."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ LOG_EVERY = 10
 
 
 class OdomSubscriber(Node):
-    """Counts the messages on `odom`, whatever the publisher's QoS; logs every tenth position."""
+    """Counts the messages on `odom`, and logs every tenth position."""
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
-        """Create the node and its subscription; `options` are those of rclpy's Node."""
+        """Create the node and its subscription. `options` are those of rclpy's Node."""
         super().__init__("odom_subscriber", context=context, **{**LOGGER_SERVICES, **options})
         self._messages = 0
         self.create_subscription(Odometry, "odom", self._take, qos.SENSOR)
         self.get_logger().info("Odometry Subscriber Node started")
 
     def get_total_messages(self) -> int:
-        """Return how many messages were received."""
+        """Return the number of received messages."""
         return self._messages
 
     def _take(self, message: Odometry) -> None:
@@ -38,5 +38,5 @@ class OdomSubscriber(Node):
 
 
 def main() -> int:
-    """Run the node until Ctrl-C; return the exit code."""
+    """Run the node until Ctrl-C, and return the exit code."""
     return run_node(OdomSubscriber)

@@ -19,7 +19,7 @@ from robotctl.ros.context import BAD_ARGUMENTS, close_context
 from robotctl.ros.executor import AsyncioExecutor, run
 
 LOGGER_SERVICES: Final = {"enable_logger_service": True}
-"""The option of rclpy's Node that lets other programs get and set its loggers' levels."""
+"""The option of rclpy's Node for services that get and set its loggers' levels."""
 
 Made = TypeVar("Made", bound=Node)
 
@@ -30,9 +30,8 @@ async def opened_node(
 ) -> AsyncIterator[tuple[Made, AsyncioExecutor]]:
     """Make a node, and run its callbacks in the loop until the block ends.
 
-    rclpy gets the command line: `--ros-args` can rename the node, remap names and set parameters.
-    Unless the block raises, `at_end(node)` is called after the last callback, before the node is
-    destroyed.
+    rclpy reads `--ros-args` of the command line. Unless the block raises, `at_end(node)` is called
+    before the node is destroyed.
 
     Raises:
         UsageError: An argument is wrong, or ROS_DOMAIN_ID is not a domain.
@@ -59,7 +58,7 @@ async def opened_node(
 def run_node(
     make_node: Callable[[Context], Made], at_end: Callable[[Made], None] = lambda node: None
 ) -> int:
-    """Run a node until SIGINT, SIGTERM or SIGHUP, then call `at_end(node)`; return 0."""
+    """Run a node until SIGINT, SIGTERM or SIGHUP, then call `at_end(node)` and return 0."""
     return run(_run(make_node, at_end))
 
 

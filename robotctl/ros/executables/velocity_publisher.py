@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-calls=False, disallow-subclassing-any=False
-"""Node `velocity_publisher` of the first-package tutorial; by default it moves no real robot."""
+"""Node `velocity_publisher` of the first-package tutorial. By default it moves no real robot."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STEP_S = 0.5
 """The time between two messages of the tutorial."""
 
 QUIET_STEPS = 8
-"""How many steps publish zeros at first (4 s), until the other nodes are discovered."""
+"""The number of steps with zeros at first (4 s), until the other nodes are discovered."""
 
 STEPS_PER_MPS = 10
 MAX_STEPS = 20
@@ -57,18 +57,15 @@ def sweep_mps(number: int) -> float:
 
 
 class VelocityPublisher(Node):
-    """Publishes `cmd_vel`: the tutorial's sweep.
+    """Publishes the tutorial's sweep of velocities on `cmd_vel`, after 4 s of zeros.
 
-    It publishes zeros for 4 s, then a sweep between -2 and 2 m/s in 0.1 m/s steps, each 0.5 s. It
-    publishes zeros instead, and logs why, while another node publishes on the topic, while a node
-    that may be a robot subscribes to it, or if discovery reaches beyond this machine.
-
-    If the parameter `sweep` is true, the node sweeps in these cases too; if `sweep` is false, it
-    never sweeps. The method `set_velocity` ends the sweep.
+    It publishes zeros while another node publishes on the topic, while a node that may be a robot
+    subscribes, or if discovery reaches beyond this machine. The parameter `sweep` overrides these
+    checks: true sweeps, false publishes zeros.
     """
 
     def __init__(self, context: Context | None = None, **options: Any) -> None:
-        """Create the node and its timer; `options` are those of rclpy's Node."""
+        """Create the node and its timer. `options` are those of rclpy's Node."""
         super().__init__(NODE_NAME, context=context, **{**LOGGER_SERVICES, **options})
         self._may_sweep = self._sweep_parameter()
         self._steps = 0
@@ -82,7 +79,7 @@ class VelocityPublisher(Node):
         self.get_logger().info("Velocity Publisher Node started")
 
     def set_velocity(self, linear: float, angular: float) -> None:
-        """Publish this velocity from now on, limited to +-2 m/s and +-2 rad/s.
+        """Publish this velocity instead of the sweep, limited to +-2 m/s and +-2 rad/s.
 
         Raises:
             ValueError: A number is not finite.
@@ -101,7 +98,7 @@ class VelocityPublisher(Node):
         self._asked = limited
 
     def obstacle(self) -> str:
-        """Return the reason for which the sweep may not run now, or "" if it may."""
+        """Return the reason against a sweep now, or "" if there is none."""
         other = self._other_publisher()
         if other:
             return other
@@ -113,7 +110,7 @@ class VelocityPublisher(Node):
         return f"discovery reaches beyond this machine ({wider})" if wider else ""
 
     def stop(self) -> None:
-        """Publish zero velocity; wait at most ACKNOWLEDGED_S until reliable subscribers have it."""
+        """Publish zero velocity, and wait at most ACKNOWLEDGED_S for reliable subscribers."""
         self._send(ZERO)
         self._publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S))
 
@@ -122,7 +119,7 @@ class VelocityPublisher(Node):
         return str(self._publisher.topic_name)
 
     def _sweep_parameter(self) -> bool | None:
-        """Declare the parameter `sweep`; return its value, or None if it is not set."""
+        """Declare the parameter `sweep`, and return its value, or None if it is not set."""
         dynamic = ParameterDescriptor(
             description="true: sweep anyway; false: never; unset: where no robot can be",
             dynamic_typing=True,
@@ -168,7 +165,7 @@ class VelocityPublisher(Node):
         return sweep_mps(self._swept - 1), 0.0
 
     def _say(self, why: str) -> None:
-        """Log why zeros are published, if the reason is new; "" stands for a running sweep."""
+        """Log the reason `why` zeros are published, if it is new. "" means a running sweep."""
         if why != self._said:
             self._said = why
             if why:
@@ -180,5 +177,5 @@ def _name(endpoint: endpoints.Endpoint) -> str:
 
 
 def main() -> int:
-    """Run the node until Ctrl-C; return the exit code."""
+    """Run the node until Ctrl-C, and return the exit code."""
     return run_node(VelocityPublisher, VelocityPublisher.stop)

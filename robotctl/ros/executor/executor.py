@@ -123,8 +123,8 @@ class AsyncioExecutor:
     def shutdown(self, timeout_sec: float | None = None) -> bool:
         """Begin no more callbacks, release all nodes and cancel running tasks.
 
-        Any thread, callback or signal handler may call this. Outside the loop's thread, it waits for
-        running callbacks, at most `timeout_sec` seconds (None or negative: no limit).
+        Any thread, callback or signal handler may call this. Outside the loop's thread, it waits
+        for running callbacks, at most `timeout_sec` seconds (None or negative: no limit).
 
         Returns:
             Whether no callback runs any more.

@@ -1,8 +1,7 @@
-"""Waiting until all processes in a ROS domain are discovered, and have discovered this one.
+"""Waiting until all processes in a ROS domain have discovered each other.
 
-Each process announces the endpoints of its nodes by a message on the DDS topic
-`ros_discovery_info`, here called its introduction. Reader and writer are created through rmw,
-because rcl allows no topic name without a leading slash.
+Each process announces its nodes' endpoints on the DDS topic `ros_discovery_info`, here called its
+introduction.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ class IntroductionReader:
         self._reader = _create(node, "rmw_create_subscription", _qos(_READ_DEPTH), options)
 
     def look(self) -> None:
-        """Read each `Introduction` that has arrived."""
+        """Read each new `Introduction`."""
         while (data := self._take()) is not None:
             try:
                 found = read_introduction(data)
@@ -95,11 +94,7 @@ class IntroductionReader:
 
 
 class IntroductionWriter:
-    """Announces this process again, to find out whether all other processes know our endpoints.
-
-    The middleware announces our publishers in the order of their creation. This writer is created
-    last, so a process that has acknowledged our message knows all our other publishers.
-    """
+    """Announces this process again, to find out whether all other processes know our endpoints."""
 
     def __init__(self, node: Node) -> None:
         """Create the writer on `node`, after all publishers that others must know.
@@ -108,11 +103,13 @@ class IntroductionWriter:
             RclCallFailed: The middleware could not create the writer.
         """
         self._node = node
+        # Created last: the middleware announces publishers in the order of their creation, so a
+        # process that acknowledges our message knows all others.
         options = function("rmw_get_default_publisher_options", PublisherOptions)()
         self._writer = _create(node, "rmw_create_publisher", _qos(1), options)
 
     def write(self, data: bytes) -> None:
-        """Announce this process again. `data` is the content of its last `Introduction`."""
+        """Announce this process again with `data`, the content of its last `Introduction`."""
         memory = ctypes.create_string_buffer(data, len(data))
         message = rcutils.SerializedMessage(
             buffer=ctypes.addressof(memory),
@@ -172,6 +169,7 @@ def _qos(depth: int) -> Qos:
     )
 
 
+# Through rmw, because rcl allows no topic name without a leading slash.
 def _create(node: Node, name: str, qos: Qos, options: ctypes.Structure) -> ctypes.c_void_p:
     with node.handle:
         made = function(name, ctypes.c_void_p)(
@@ -200,7 +198,7 @@ _POLL_S: Final = 0.005
 _ACKNOWLEDGED_POLL_S: Final = 0.001
 
 REPEAT_S: Final = 0.02
-"""How often [s] `make_known` repeats the announcement, which is acknowledged after about 8 ms."""
+"""The time between two announcements of `make_known`, which are acknowledged after about 8 ms."""
 
 
 class FoundEndpoint(NamedTuple):
@@ -208,7 +206,7 @@ class FoundEndpoint(NamedTuple):
 
     gid: bytes
     introduces: bool
-    """Whether the endpoint is on `ros_discovery_info`; then it need not belong to a node."""
+    """Whether the endpoint is on `ros_discovery_info`. Then it need not belong to a node."""
 
     @property
     def process(self) -> bytes:
@@ -231,18 +229,15 @@ class Discovery:
         self._since_s = time.monotonic()
 
     def close(self) -> None:
-        """Destroy the IntroductionReader, which removes it from the graph."""
+        """Remove the reader of introductions from the graph."""
         self._introductions.close()
 
     def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:
         """Wait until all processes are discovered and nothing changed for `quiet_s` seconds.
 
-        The wait ends at `until_s` (`time.monotonic`) at the latest, or when `stopped` is set.
-
-        Fast DDS announces a process every 3 s by default, and about half of the first
-        announcements get lost. So the processes on this machine are counted by their ports. If
-        processes may be on other machines, which cannot be counted, the wait lasts until
-        `until_s`. `quiet_s` allows for a starting process, which adds its endpoints one by one.
+        The wait ends at `until_s` (`time.monotonic`) at the latest, or when `stopped` is set. It
+        always lasts until then if other machines may take part, because their processes cannot be
+        counted.
         """
         while time.monotonic() < until_s and not stopped.is_set():
             if self.is_complete(quiet_s):
@@ -256,8 +251,10 @@ class Discovery:
     def is_complete(self, quiet_s: float) -> bool:
         """Return whether all processes are discovered and nothing changed for `quiet_s` seconds.
 
-        Always False if processes may be on other machines, because `wait` cannot count those.
+        Always False if other machines may take part.
         """
+        # Fast DDS repeats a lost announcement only after 3 s. So processes here are counted by
+        # ports.
         if not is_on_this_machine_only():
             return False
         self._introductions.look()
@@ -272,10 +269,9 @@ class Discovery:
         return now_s - self._since_s >= quiet_s and count_complete(known, introduced) >= here
 
     def make_known(self, until_s: float, stopped: threading.Event) -> bool:
-        """Wait until all discovered processes know all publishers of this process; return True.
+        """Wait until all discovered processes know all publishers of this process.
 
-        Return False if a process has not acknowledged our announcement by `until_s`
-        (`time.monotonic`), or if `stopped` is set.
+        Return False if that took until `until_s` (`time.monotonic`), or if `stopped` is set.
         """
         writer = IntroductionWriter(self._node)
         try:
@@ -302,8 +298,10 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Return how many processes of `introduced` are fully discovered: all endpoints in their
-    `Introduction` are in `known`, which has no others except those on `ros_discovery_info`."""
+    """Return the number of processes in `introduced` whose endpoints are all in `known`.
+
+    A process with other endpoints in `known` counts only if those are on `ros_discovery_info`.
+    """
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
     for each in known:
@@ -317,11 +315,7 @@ def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, In
 
 
 class GraphChanges:
-    """Watches for changes of the graph during the `with` block, for one task of the loop.
-
-    rcl has no callback for graph changes, so a thread waits for them. After a change the thread
-    pauses until the task calls `wait` again; so even constant changes cost little.
-    """
+    """Watches for changes of the graph during the `with` block, for one task of the loop."""
 
     def __init__(self, node: Node) -> None:
         """Watch the graph that `node` sees."""
@@ -354,7 +348,7 @@ class GraphChanges:
         self._end.destroy()
 
     async def wait(self, at_most_s: float) -> bool:
-        """Wait at most `at_most_s` seconds for a change; return whether there was one.
+        """Wait at most `at_most_s` seconds for a change, and return whether there was one.
 
         A change since the last `wait` ends the wait at once. One change may be reported twice.
         """
@@ -368,6 +362,8 @@ class GraphChanges:
 
     # In the thread
 
+    # rcl has no callback for graph changes, so a thread waits. After a change it pauses until the
+    # task calls `wait` again, so that constant changes cost little.
     def _run(self) -> None:
         context, node = self._node.context.handle, self._node.handle
         assert context is not None

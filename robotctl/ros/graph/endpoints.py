@@ -1,4 +1,4 @@
-"""Topics, publishers, subscriptions, services, nodes of the domain; names may have any bytes."""
+"""Topics, publishers, subscriptions, services and nodes of the domain, with any bytes as names."""
 
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ from robotctl.ros.graph.rcl_graph import Gid, Role, checked, escaped, function
 
 
 def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
-    """Return full topic name -> types. With `dds_names`, both are as in DDS and not as in ROS.
+    """Return full topic name -> types, with `dds_names` as in DDS and not as in ROS.
 
-    Bytes that are not UTF-8 become surrogate escapes in a name, as in file names, and backslash
-    escapes in a type.
+    Bytes that are not UTF-8 become surrogate escapes in a name, and backslash escapes in a type.
     """
     try:
         return dict(node.get_topic_names_and_types(dds_names))
@@ -40,32 +39,30 @@ def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
 
 
 def publishers(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the publishers of `topic`, which is a name that `topics` returns."""
+    """Return the publishers of `topic`, a name from `topics`."""
     return _endpoints(node, Role.PUBLISHER, topic, dds_names)
 
 
 def subscriptions(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the subscriptions to `topic`, which is a name that `topics` returns."""
+    """Return the subscriptions to `topic`, a name from `topics`."""
     return _endpoints(node, Role.SUBSCRIPTION, topic, dds_names)
 
 
 def publisher_count(node: Node, topic: str) -> int:
-    """Return how many publishers a topic has; `topic` is its full name.
-
-    rclpy's `Node.count_publishers` would expand and validate the name each time.
-    """
+    """Return the number of publishers of `topic`, a full name."""
     with node.handle:
+        # rclpy's `Node.count_publishers` would expand and validate the name each time.
         return int(node.handle.get_count_publishers(topic))
 
 
 def subscription_count(node: Node, topic: str) -> int:
-    """Return how many subscriptions a topic has; `topic` is its full name."""
+    """Return the number of subscriptions to `topic`, a full name."""
     with node.handle:
         return int(node.handle.get_count_subscribers(topic))
 
 
 def node_names(node: Node) -> list[str]:
-    """Return the full name of each discovered node; a name that two nodes share is listed twice."""
+    """Return the full name of each discovered node. A name of two nodes is listed twice."""
     with node.handle:
         found = rcl_graph.node_names(node.handle.pointer)
     return [f"{escaped(space).rstrip('/')}/{escaped(name)}" for name, space in found]
@@ -105,24 +102,23 @@ def _endpoints(node: Node, role: Role, topic: str, dds_names: bool) -> list[Endp
 
 
 LOOK_NODE = "_robotctl_look_"
-"""Prefix of the names of nodes of `robotctl topic|node|service`; ROS tools hide such nodes."""
+"""Prefix of the node names of `robotctl topic|node|service`, which ROS tools hide."""
 
 TOOL_NODES = (LOOK_NODE, "_ros2cli_")
 """Prefixes of the node names of commands that read topics and drive nothing."""
 
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-"""The node name that rmw reports for an endpoint while the endpoint's node is not discovered."""
+"""rmw's name for the node of an endpoint while that node is not discovered."""
 
 PROCESS_BYTES = 12
-"""Length of the gid prefix that all endpoints of a process share (DDSI-RTPS 2.5, 8.2.4.1,
-GuidPrefix_t)."""
+"""Length of the gid prefix of a process (DDSI-RTPS 2.5, 8.2.4.1, GuidPrefix_t)."""
 
 _OF_EVERY_NODE = "/parameter_events"
 """A topic that each node publishes from its creation on."""
 
 
 def gid_of(publisher: Publisher) -> bytes:
-    """Return the gid that messages of this publisher carry.
+    """Return the gid of this publisher's messages.
 
     Raises:
         RclCallFailed: The middleware does not report the gid.
@@ -136,19 +132,16 @@ def gid_of(publisher: Publisher) -> bytes:
 
 
 def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
-    """Return by gid, for each publisher of `topic`, the full name of its node, "" if unknown."""
+    """Return gid -> full name of the node, "" if unknown, for each publisher of `topic`."""
     return {each.gid: full_name(each) for each in publishers(node, topic)}
 
 
 def node_of(node: Node, topic: str, gid: bytes) -> str:
-    """Return the full name of the node that publishes `topic` with this `gid`, "" if unknown.
-
-    A message may arrive when its publisher's process is discovered, but the publisher is not yet.
-    If so, return the name of the process's only node, or "" if the process has several nodes.
-    """
+    """Return the full name of the node that publishes `topic` with this `gid`, "" if unknown."""
     name = publisher_names(node, topic).get(gid, "")
     if name:
         return name
+    # A message may arrive before its publisher is discovered: then the process's only node is it.
     of_process = {
         name
         for other, name in publisher_names(node, _OF_EVERY_NODE).items()
@@ -168,7 +161,7 @@ def full_name(endpoint: Endpoint) -> str:
 
 
 MAX_NAMES = 5000
-"""Limit on the topics, on the services and on the nodes; other processes may create any number."""
+"""Limit on the topics, services and nodes, of which other processes may create any number."""
 
 _REQUEST_TOPIC = re.compile(r"rq(/.+)Request")
 _REQUEST_TYPE = re.compile(r"(\w+)::srv::dds_::(\w+)_Request_|(\w+)::action::dds_::(\w+)_Request_")
@@ -207,9 +200,9 @@ def topic_facts(node: Node, topic: str) -> dict[str, Any]:
 
 
 def node_facts(node: Node, name: str) -> dict[str, Any] | None:
-    """Return topics and services that the node `name` publishes, subscribes to, serves and calls.
+    """Return the topics and services of the node with the full name `name`.
 
-    `name` is the full name. Return None if no such node is discovered.
+    Return None if no such node is discovered.
     """
     namespace, _, base = name.rpartition("/")
     try:
@@ -242,7 +235,7 @@ def _typed(names: Mapping[str, Iterable[str]]) -> list[dict[str, Any]]:
 
 
 def services(node: Node) -> dict[str, set[str]]:
-    """Return service name -> types, for each service whose request topic DDS has discovered."""
+    """Return service name -> types for each discovered service."""
     found: dict[str, set[str]] = {}
     for topic, types in topics(node, dds_names=True).items():
         if match := _REQUEST_TOPIC.fullmatch(topic):

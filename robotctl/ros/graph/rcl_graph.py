@@ -1,4 +1,4 @@
-"""Names and endpoints of the graph, read as bytes: rclpy fails on a name that is not UTF-8."""
+"""Names and endpoints of the graph as bytes, because rclpy fails on names that are not UTF-8."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robotctl.kernel.constants import NS_PER_S
 from robotctl.ros.executor import RclCallFailed, rcutils
 
 GID_BYTES = 16
-"""RMW_GID_STORAGE_SIZE; the gid in a message's info has the same size."""
+"""RMW_GID_STORAGE_SIZE."""
 
 
 class StringArray(ctypes.Structure):
@@ -109,14 +109,14 @@ class Gid(ctypes.Structure):
 
 
 class Role(Enum):
-    """The kind of an endpoint; the value names rcl's function that lists endpoints of this kind."""
+    """The kind of an endpoint. The value is rcl's function that lists such endpoints."""
 
     PUBLISHER = "rcl_get_publishers_info_by_topic"
     SUBSCRIPTION = "rcl_get_subscriptions_info_by_topic"
 
 
 class Endpoint(NamedTuple):
-    """A publisher or subscription of any process; bytes that are not UTF-8 are escaped."""
+    """A publisher or subscription of any process. Bytes that are not UTF-8 are escaped."""
 
     node_name: str
     node_namespace: str
@@ -126,13 +126,13 @@ class Endpoint(NamedTuple):
 
 
 def escaped(text: bytes) -> str:
-    """Return the text; a byte that is not UTF-8 becomes a backslash escape."""
+    """Return the text with backslash escapes for bytes that are not UTF-8."""
     return text.decode(errors="backslashreplace")
 
 
 @cache
 def function(name: str, restype: Any = ctypes.c_int) -> Any:
-    """Return a C function of rcl, or of a library that rcl loads; calls keep the GIL."""
+    """Return a C function of rcl, or of a library that rcl loads. Calls keep the GIL."""
     found = ctypes.PyDLL("librcl.so")[name]
     found.restype = restype
     return found
@@ -142,7 +142,7 @@ def checked(name: str, *arguments: Any) -> None:
     """Call a C function that returns 0 for success.
 
     Raises:
-        RclCallFailed: It returned another code.
+        RclCallFailed: The function returned another code.
     """
     code = function(name)(*arguments)
     if code:
@@ -191,7 +191,7 @@ def node_names(node: int) -> list[tuple[bytes, bytes]]:
 
 
 def endpoints(node: int, role: Role, topic: bytes, *, dds_names: bool) -> list[Endpoint]:
-    """Return the endpoints of a topic that have the `role`; `topic` may be any bytes.
+    """Return the endpoints of `topic` with the `role`.
 
     Raises:
         RclCallFailed: rcl could not list them.
