@@ -1,7 +1,4 @@
-"""Decompress a stored chunk or message, and check the result against its record.
-
-Every size is checked against the file's limits before anything is decompressed.
-"""
+"""Decompress stored chunks and messages within the limits of their file."""
 
 from __future__ import annotations
 
@@ -37,17 +34,16 @@ _NAMES: Final = (Compression.NONE.mcap_name, Compression.ZSTD.mcap_name, _LZ4)
 """The compressions by their names in a chunk record."""
 
 _FIELDS: Final = struct.Struct("<QQQII")
-"""The beginning of a chunk: start and end time [ns], uncompressed size [bytes], CRC, and the length
-of the compression's name, which follows, and then the length of the data."""
+"""Start and end time [ns], uncompressed size, CRC, and length of the compression's name [bytes]."""
 
 _BEFORE_NAME: Final = RECORD_HEAD.size + _FIELDS.size
 _MAX_NAME_BYTES: Final = 32
 
 
 def unpack(compression: str, stored: bytes, size: int, *, torn: bool = False) -> bytes:
-    """Decompress and return the `stored` data of a chunk; the result should have `size` bytes.
+    """Return the decompressed data of a chunk, which should have `size` bytes.
 
-    The end of the file cuts off a `torn` chunk: return the part that can be decompressed.
+    Of a `torn` chunk, the part that can be decompressed is returned.
 
     Raises:
         Damaged: The data is corrupt, or the compression is not supported.
@@ -98,7 +94,7 @@ class ChunkHead(NamedTuple):
 
 
 def read_chunk_head(file: InputFile, offset: int, length: int) -> ChunkHead:
-    """Parse the head of the chunk record at `offset`; the record has `length` bytes in all.
+    """Return the head of the chunk record of `length` bytes at `offset`.
 
     Raises:
         Damaged: There is no chunk record of that length at `offset`.
@@ -128,7 +124,7 @@ def stored_size_of(length: int, compression: str) -> int:
 
 
 def read_chunk(file: InputFile, head: ChunkHead, *, torn: bool = False) -> bytes:
-    """Return the chunk's records, decompressed; check size and CRC unless the chunk is `torn`.
+    """Return the decompressed records of a chunk, the readable part of a `torn` one.
 
     Raises:
         Damaged: The chunk is corrupt, or exceeds the limits.
@@ -215,11 +211,7 @@ _FORMAT = re.compile(r"^( *+compression_format: *+)[\"']?(\w*+)[\"']?(?= *+$)", 
 
 
 def message_compression(metadata: Iterable[Metadata], path: Path) -> str:
-    """Return the compression of the messages in the file `path`, or "" for none.
-
-    The file's own metadata decides. If it says nothing, the `metadata.yaml` that lists the file
-    decides.
-    """
+    """Return the compression of the single messages in the file `path`, "" for none."""
     texts = [
         record.metadata.get(SERIALIZED_METADATA, "")
         for record in metadata
@@ -233,7 +225,7 @@ def message_compression(metadata: Iterable[Metadata], path: Path) -> str:
 
 
 def without_compression(values: dict[str, str]) -> dict[str, str]:
-    """Return `values`, rosbag2's metadata record, changed to say that nothing is compressed."""
+    """Return rosbag2's metadata record with an empty compression mode and format."""
     if SERIALIZED_METADATA not in values:
         return values
     text = values[SERIALIZED_METADATA]

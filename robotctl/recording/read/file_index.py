@@ -1,4 +1,4 @@
-"""The index of one MCAP file: its topics, message counts and metadata, and where messages are."""
+"""The index of one MCAP file: topics, message counts, metadata, and places of messages."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class PlaceKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A part of the file that holds messages: `length` bytes at `offset`, log times in ns.
+    """A part of a file with messages, `length` bytes at `offset`. Log times are in ns.
 
-    `channels` are the ids of the channels with messages there, None if unknown. For a chunk,
-    `unpacked_bytes` and `compression` come from the summary; they are None and "" if it lacks them.
+    `channels` has the ids of the channels with messages there, None if unknown. `unpacked_bytes`
+    and `compression` are those of the summary, None and "" without one.
     """
 
     kind: PlaceKind
@@ -56,7 +56,7 @@ class Place:
     compression: str = ""
 
     def size_in_memory(self, file: InputFile) -> int:
-        """Return the number of bytes that `read` returns if the sizes stored in the file are true.
+        """Return the number of bytes that `read` returns, by the sizes stored in the file.
 
         Raises:
             Damaged: The head of the chunk cannot be read.
@@ -102,8 +102,8 @@ class Contents:
     ) -> None:
         """Walk the records in `data`, the content of a place.
 
-        `define` gets the opcode and the content of each schema and channel. `begin` gets the id of
-        each channel that has messages, before the first of them is added.
+        `define` gets opcode and content of each schema and channel, `begin` the id of each channel
+        before its first message.
 
         Raises:
             Damaged: A record is cut off or malformed.
@@ -258,8 +258,7 @@ class FileIndex:
 
 
 _BEGIN = struct.Struct("<QQQQI")
-"""Start and end time [ns], offset and length of the chunk record, and the size in bytes of the
-following map, which gives the offset of the message index of each channel in the chunk."""
+"""Start and end time [ns], offset and length of the chunk record, size of the following map."""
 
 _TIMES = struct.Struct("<QQ")
 _CHANNEL = struct.Struct("<H8x")
@@ -283,9 +282,7 @@ def read_chunk_times(data: bytes, position: int, end: int) -> tuple[int, int]:
 
 
 def read_chunk_index(data: bytes, position: int, end: int) -> tuple[Place, int]:
-    """Return the chunk that a chunk index describes, and the offset after its MessageIndex records.
-
-    The content of the record is `data[position:end]`.
+    """Return the chunk of the index record `data[position:end]`, and the offset after its indexes.
 
     Raises:
         Damaged: The record contradicts itself.

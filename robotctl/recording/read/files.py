@@ -1,7 +1,4 @@
-"""Which files belong to a recording, and where their bytes come from.
-
-The bytes come from a file of this machine, a URL, or any other `Source`.
-"""
+"""The files of a recording, and the sources of their bytes."""
 
 from __future__ import annotations
 
@@ -41,10 +38,9 @@ def is_zstd_file(path: Path) -> bool:
 
 
 def unpack_zstd_file(fd: int, on_progress: Callable[[int, int], None]) -> int:
-    """Decompress the file that is open as `fd` into an unnamed file, and return its descriptor.
+    """Decompress the file `fd` into an unnamed file, and return the new descriptor.
 
-    If the data is corrupt, the unnamed file has what precedes the damage. `on_progress` gets bytes
-    done and in total.
+    The result ends where the data is corrupt. `on_progress` gets bytes done and in total.
 
     Raises:
         Damaged: Nothing can be decompressed, or the result exceeds the limits.
@@ -82,7 +78,7 @@ def unpack_zstd_file(fd: int, on_progress: Callable[[int, int], None]) -> int:
 
 @contextmanager
 def _room() -> Iterator[None]:
-    """Add to an OSError of the block that the file could not be unpacked, and into which folder."""
+    """Name the temporary folder in an OSError of the block."""
     try:
         yield
     except OSError as error:
@@ -262,10 +258,7 @@ def metadata_of_folder(folder: Path) -> tuple[str, list[str]]:
 
 
 def may_not_be_listed(path: Path) -> bool:
-    """Return whether `path` is a folder that this user may not list.
-
-    `Path.glob` would find nothing in it. The file system's own `lost+found` does not count.
-    """
+    """Return whether `path` is a folder, other than `lost+found`, that this user may not list."""
     try:
         next(path.iterdir(), None)
     except PermissionError:
@@ -286,10 +279,9 @@ def is_bag(path: Path) -> bool:
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether names and first bytes show that `path` is a recording or a folder of some.
+    """Return whether `path` looks like a recording or a folder of recordings.
 
-    Also True for a damaged recording, and for a path that cannot be examined: the reader then
-    reports what is wrong.
+    True also for a damaged recording and for a path that cannot be examined.
     """
     try:
         mode = path.stat().st_mode
@@ -324,9 +316,9 @@ def files_of_bag(folder: Path) -> list[Path]:
 def each_with_progress(
     paths: Sequence[Path], on_progress: Progress
 ) -> Iterator[tuple[Path, Progress]]:
-    """Yield each path with a function (done, total), which accepts progress on it in any unit.
+    """Yield each path with a function for its progress (done, total) in any unit.
 
-    The function calls `on_progress` with the bytes done and in total of all paths.
+    `on_progress` gets the bytes done and in total of all paths.
     """
     sizes = [size_of(path) for path in paths]
     total = sum(sizes)
@@ -348,11 +340,9 @@ def absent_files(text: str, present: list[Path]) -> list[str]:
 
 
 def absent_names(text: str, present: list[Path]) -> list[str]:
-    """Return the files that `metadata.yaml` lists and that are not in `present`.
+    """Return the names in `text`, a `metadata.yaml`, that are not in `present`, compressed or not.
 
-    A file also counts as present in its compressed or decompressed form. `text` is the content of
-    `metadata.yaml`; read it before listing the folder, because a daemon lists a file there only
-    after creating it.
+    Read `text` before listing the folder: a daemon creates a file before listing it there.
     """
     names = {path.name.removesuffix(SUFFIX) for path in present}
     return [name for name in files_in(text) if name.removesuffix(SUFFIX) not in names]

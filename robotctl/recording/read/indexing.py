@@ -1,7 +1,4 @@
-"""The index of any MCAP file: from its summary if there is a valid one, else by a scan.
-
-A summary is read in milliseconds for a file of any size. A scan walks every record.
-"""
+"""Index any MCAP file from its summary or, if that is not valid, by a scan."""
 
 from __future__ import annotations
 
@@ -78,9 +75,7 @@ def read_summary(file: InputFile) -> tuple[bytes, int]:
 
 
 def _before_own_footer(data: bytes) -> bytes:
-    """Return the summary at the beginning of `data`: all before the first footer, or everything.
-
-    A footer in `data` belongs to the summary; what follows it is an unfinished commit.
+    """Return the summary in `data`. Its footer and an unfinished commit may follow it.
 
     Raises:
         Damaged: The footer does not belong to the summary.
@@ -97,7 +92,7 @@ def _before_own_footer(data: bytes) -> bytes:
 def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
     """Return the index that the file's summary gives.
 
-    Without `places`, this takes a fraction of the time, but messages cannot be read with the index.
+    Without `places`, messages cannot be read with the index.
 
     Raises:
         Damaged: The summary is missing or not valid.
@@ -146,13 +141,11 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
 
 
 def _set_times(index: FileIndex, told: tuple[int, int], chunks: list[tuple[int, int]]) -> None:
-    """Set the lowest and highest log time of the index to those of the chunks.
-
-    In files of other writers, messages may be outside chunks: a wider range of `told` is used.
-    """
+    """Set the log times of the index to those of the chunks or, if it is wider, to `told`."""
     known = [each for each in chunks if each[0] <= each[1] and each != (0, 0)]  # others are empty
     if known:
         start_ns, end_ns = min(start for start, _ in known), max(end for _, end in known)
+        # Other writers may have messages outside chunks.
         if index.own or told[0] > start_ns or told[1] < end_ns:
             told = start_ns, end_ns
     index.start_ns, index.end_ns = told
@@ -240,8 +233,7 @@ def read_written_file(file: InputFile) -> WrittenFile:
 def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
     """Return the offset of the first record of an unfinished commit, or None.
 
-    Such a record is of a kind that robotctl does not write as data, is missing in the summary, or
-    ends after `data_end`. `index` and `data_end`, the end of the data, are from the summary.
+    `index` and `data_end`, the end of the data, are from the summary.
 
     Raises:
         Damaged: A record cannot be read, or a chunk in the summary follows that offset.
@@ -491,8 +483,8 @@ def index_of(
 ) -> FileIndex:
     """Return the index of a file, from its summary or, if that is not valid, by a scan.
 
-    `on_progress` gets the offset that a scan has reached. If `places` is False, the index is made
-    faster, but messages cannot be read with it.
+    `on_progress` gets the offset that a scan has reached. Without `places`, messages cannot be read
+    with the index.
 
     Raises:
         Damaged: Not even the header can be read.
@@ -521,12 +513,8 @@ def index_of(
 
 
 def _complete(file: InputFile, index: FileIndex) -> None:
-    """Find records that the summary does not list; report those that are counted but not found.
-
-    In files of other writers, all gaps of the summary are read. A summary of robotctl lists all
-    records, and what a killed commit left in a gap is no part of the file. So its gaps are only
-    read if `index` has fewer metadata records than the summary counts.
-    """
+    """Find records that the summary does not list; report those that are counted but not found."""
+    # A summary of robotctl lists all records: its gaps have only the rest of a killed commit.
     if not index.own or index.declared_metadata > len(index.metadata):
         read_gaps(file, index)
     for told, found, noun in (

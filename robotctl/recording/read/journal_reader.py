@@ -65,10 +65,9 @@ def _beyond(limit: str) -> UnreadableFile:
 
 
 def journal_topic(info: RecordingInfo) -> str | None:
-    """Return the journal topic of the robot that recorded, or else the only journal topic.
+    """Return the journal topic of the recording robot, or else the only journal topic.
 
-    Journals of other robots in the same ROS domain may have been recorded as well. Return None if
-    there is no journal, or if there are several and none is of the robot that recorded.
+    None without a journal, or with several journals of other robots.
     """
     own, found = own_journal_topic(info), journal_topics(info)
     return own if own in found else found.pop() if len(found) == 1 else None
@@ -94,10 +93,10 @@ def read_journal(
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Iterator[RecordedEntry]:
-    """Yield the entries in file order: by `seq`, unless another program has sorted the file.
+    """Yield the entries in file order.
 
-    Log times may step back if the clock was set. `on_missing` gets a sentence about each part that
-    cannot be read. `on_progress` gets the number of bytes read and that of all bytes.
+    Log times step back if the clock was set back. `on_missing` gets a sentence about each part that
+    cannot be read, `on_progress` the bytes read and in total.
 
     Raises:
         UnreadableFile: There is no journal, or an entry is damaged.
@@ -113,9 +112,8 @@ def read_journal(
 def since_snapshot(
     recording: Recording, moment_ns: int, on_missing: Callable[[str], None]
 ) -> list[Message]:
-    """Return the journal entries before `moment_ns`, from the last snapshot on.
+    """Return the journal's messages before `moment_ns` from the last snapshot on, [] without one.
 
-    Re-running them gives the kernel's state at that moment. If no snapshot is earlier, return [].
     `on_missing` gets a sentence about each part that cannot be read.
     """
     info = recording.info()

@@ -1,8 +1,4 @@
-"""Read the messages of a file, and compare their number with the counts that were written.
-
-A place is a part of a file with messages: a chunk, or a run of messages outside chunks. The counts
-in `metadata.yaml` and the ledger reveal that a valid file was cut or replaced.
-"""
+"""Read the messages of a file, and compare their number with the recorded counts."""
 
 from __future__ import annotations
 
@@ -67,10 +63,10 @@ class OpenFile:
 
 
 class PlaceReader:
-    """Reads one `Place` of a file; `names` has topic and type of each wanted channel, by its id.
+    """Reader of one `Place` of a file; `names` has topic and type of the wanted channels by id.
 
-    After `load`, `take` returns the messages with a log time in `window` (ns, both ends included)
-    one by one. `contents` and `as_written` yield all messages in file order, without `load`.
+    `take`, after `load`, returns only messages in `window`. `contents` and `as_written` yield all
+    messages in file order.
     """
 
     def __init__(
@@ -133,7 +129,7 @@ class PlaceReader:
         return Message(*self._names[channel], content, log_ns, publish_ns, sequence)
 
     def contents(self) -> Iterator[list[tuple[RecordHead, bytes]]]:
-        """Yield lists with head and data of the messages of the selected channels, in file order.
+        """Yield head and data of the messages of wanted channels in file order, in lists.
 
         Raises:
             Damaged: After the last message, if some are missing.
@@ -159,7 +155,7 @@ class PlaceReader:
             raise failure
 
     def as_written(self) -> Iterator[list[Message]]:
-        """Yield the selected channels' messages in file order, in lists.
+        """Yield the messages of wanted channels in file order, in lists.
 
         Raises:
             Damaged: After the last message, if some are missing.
@@ -271,7 +267,7 @@ class ReadableFile:
         self._on_progress = on_progress
 
     def channels(self) -> Sequence[tuple[Channel, Schema | None]]:
-        """Return pairs of channel and schema; a schema that the file lacks is None."""
+        """Return pairs of channel and schema, with None for a missing schema."""
         schemas, channels = self.index.schemas, self.index.channels.values()
         return [(each, schemas.get(each.schema_id)) for each in channels]
 
@@ -330,9 +326,9 @@ def batched(messages: Iterable[PlainMessage], most_bytes: int) -> Iterator[list[
 def open_readable(
     path: Path, text: str, on_progress: Callable[[int, int], None]
 ) -> Iterator[ReadableFile]:
-    """Open a file to copy it; `text` is a `metadata.yaml` that may count the file's messages.
+    """Open a file to copy it. `text` is the recording's `metadata.yaml`, or "".
 
-    `on_progress` gets the bytes done and in total. Each byte counts twice: indexed, then copied.
+    `on_progress` gets the bytes done and in total. Each byte counts twice.
 
     Raises:
         OSError: The file cannot be opened.
@@ -347,10 +343,10 @@ def open_readable(
 
 
 def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:
-    """Yield a sentence for each file or recording that holds fewer messages than declared.
+    """Yield sentences about recorded counts that exceed the messages in `files`.
 
-    `text` is the `metadata.yaml`, read before the files, because they may grow. With `all_files`,
-    `files` are all files of the recording, and its total count is checked, too.
+    `text` is the `metadata.yaml`, which must be read before the files. With `all_files`, `files`
+    are all files of the recording.
     """
     if any(each.index.limit_reached for each in files):
         return  # not all messages were read
@@ -373,10 +369,7 @@ def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) ->
 
 
 def _is_whole(files: Sequence[OpenFile]) -> bool:
-    """Return whether `files` are the first files of one recording, without a gap.
-
-    False for clips and repaired files.
-    """
+    """Return whether `files` are the first of a recording, without gap, clip or repair."""
     first = files[0].path.stem
     names = [f"{first.removesuffix('0')}{number}" for number in range(len(files))]
     return (
@@ -387,10 +380,7 @@ def _is_whole(files: Sequence[OpenFile]) -> bool:
 
 
 def _written_by_ledger(last: OpenFile) -> int:
-    """Return the number of messages that the ledger of the last file counts; 0 without a ledger.
-
-    Later files repeat latched messages, so the files may hold more.
-    """
+    """Return the number of messages that the ledger of the last file counts, 0 without a ledger."""
     records = [each.metadata for each in last.index.metadata if each.name == LEDGER_RECORD]
     ledger = read_ledger({LEDGER_RECORD: records[-1]} if records else {})
     return sum(counts.get("written", 0) for counts in ledger.values())

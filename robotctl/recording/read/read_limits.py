@@ -1,7 +1,6 @@
-"""Limits of the work that reading a file may cause, and the errors of reading.
+"""Limits of reading that follow from a file's size on the disk, and the errors of reading.
 
-A compressed file may claim any size. Each limit depends on the size on the disk and is checked
-before the work is done. What exceeds a limit is not read, and is reported together with `CURE`.
+What exceeds a limit is not read, and is reported together with `CURE`.
 """
 
 from __future__ import annotations
@@ -31,22 +30,19 @@ UNPACKED_RATIO: Final = 512
 
 FAST_CHUNK_BYTES: Final = 24 << 20
 FAST_CHUNK_DISCOUNT: Final = 10
-"""Chunks up to FAST_CHUNK_BYTES unpack ten times as fast (22 instead of 2 GB/s, measured with
-zeros: the C library keeps the memory of blocks below 32 MiB), so a tenth of their size counts. A
-day of black VGA images, which compress to 1/4600, stays below the limit. Black 1080p images
-compress to 1/15600: only 5 GiB of those are read, because `recover` takes 2 s to write them, and
-because a hostile file would look the same."""
+"""A tenth of the size counts for chunks up to FAST_CHUNK_BYTES, which unpack ten times as fast (22
+instead of 2 GB/s, measured with zeros). A day of black VGA images stays below the limit. Of black
+1080p images, which compress to 1/15600, 5 GiB are read."""
 
 CHUNK_BYTES: Final = 72 << 20
 CHUNK_RATIO: Final = 32
-"""A chunk may unpack to CHUNK_BYTES, or to CHUNK_RATIO times its stored size if that is more. A
-recorded message above 72 MiB that compresses to less than 1/32 needs higher limits to be read."""
+"""A chunk may unpack to CHUNK_BYTES, or to CHUNK_RATIO times its stored size if that is more."""
 
 OPEN_BYTES: Final = 96 << 20
 OPEN_RATIO: Final = 32
 MAX_OPEN_BYTES: Final = 256 << 20
-"""Chunks whose times overlap are held unpacked at once, up to OPEN_BYTES, or OPEN_RATIO times the
-file size if that is more, but at most MAX_OPEN_BYTES. In our files at most two chunks overlap."""
+"""Chunks that overlap in time may together unpack to OPEN_BYTES, or to OPEN_RATIO times the file
+size if that is more, but at most to MAX_OPEN_BYTES."""
 
 ATTACHMENT_BYTES: Final = 256 << 20
 """A larger attachment is not loaded."""
@@ -137,7 +133,7 @@ def _factor() -> float:
 
 @dataclass(slots=True)
 class Tally:
-    """A sum of one number per place (offset) of a file: a place that is read twice counts once."""
+    """A sum of one number per place (offset) of a file."""
 
     of: dict[int, int] = field(default_factory=dict)
     total: int = 0
@@ -155,7 +151,7 @@ class Tally:
 
 
 class UnpackBudget:
-    """How many bytes of chunks may still be decompressed."""
+    """The number of bytes of chunks that may still be decompressed."""
 
     def __init__(self, limits: ReadLimits) -> None:
         self._limit = limits.unpacked_cost
@@ -178,7 +174,7 @@ def beyond_unpacking(limit: int) -> BeyondLimit:
 
 
 class Damaged(Exception):
-    """A part of the file cannot be read. The text says what is wrong, without the file name."""
+    """A part of a file cannot be read. The text does not name the file."""
 
 
 class Unreadable(Damaged):
@@ -198,10 +194,7 @@ _failures: ContextVar[list[str] | None] = ContextVar("failures", default=None)
 
 @contextmanager
 def noted_read_failures() -> Iterator[list[str]]:
-    """Yield a list that collects a sentence for each read that fails in this thread in the block.
-
-    A caller that only sees a damaged file learns here that the disk or the memory failed.
-    """
+    """Yield a list that gets a sentence for each failed read of this thread in the block."""
     found: list[str] = []
     token = _failures.set(found)
     try:

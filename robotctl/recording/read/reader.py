@@ -1,8 +1,4 @@
-"""Open any MCAP recording: one file, or a folder in rosbag2's layout.
-
-A file without a valid summary is scanned. Parts that cannot be read are always reported: in
-`RecordingInfo.missing`, to `on_missing`, or by UnreadableFile at the end of an iteration.
-"""
+"""Open any MCAP recording: one file, or a folder in rosbag2's layout."""
 
 from __future__ import annotations
 
@@ -63,10 +59,10 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class RecordingInfo:
-    """The summary of a recording; times are in ns since the epoch, or 0 without messages.
+    """The summary of a recording. Times are in ns since the epoch, or 0 without messages.
 
-    `missing` has a sentence for each part that cannot be read. `indexed` is False if a file without
-    a valid summary was scanned. `metadata` has the last record of each name.
+    `missing` has a sentence per unreadable part. `indexed` is False if a file has no valid summary.
+    `metadata` has the last record of each name.
     """
 
     path: Path
@@ -134,8 +130,7 @@ def read_messages(
     `on_missing` gets a sentence about each part that cannot be read.
 
     Raises:
-        UnreadableFile: Nothing can be read; or `on_missing` is None and a part cannot be read: it
-            is then raised after the last message.
+        UnreadableFile: Nothing can be read or, without `on_missing`, a part cannot be read.
     """
     missing: list[str] = []
     tell = on_missing or (lambda sentence: note_missing(missing, sentence))
@@ -157,10 +152,10 @@ class Recording:
         source: Source | None = None,
         files: Sequence[Path] = (),
     ) -> None:
-        """Open `path`; `on_progress` gets bytes done and in total while files are scanned.
+        """Open the recording `path`, or only `files` of the folder `path`.
 
-        With `source`, one MCAP file is read from it, and `path` is only its name. With `files`,
-        only those of the folder `path` are read.
+        With `source`, one MCAP file is read from it, and `path` is only its name. `on_progress`
+        gets bytes done and in total while files are scanned.
 
         Raises:
             UnreadableFile: Nothing can be read.
@@ -276,10 +271,9 @@ class Recording:
         on_missing: Callable[[str], None],
         window: Window = ALWAYS,
     ) -> Iterator[Message]:
-        """Yield the messages of `topics` (None: all) in the order of their log time.
+        """Yield the messages of `topics` (None: all) in `window`, in the order of log time.
 
-        Only log times in `window` (ns, both ends included) are read. `on_missing` gets a sentence
-        about each lost part.
+        `on_missing` gets a sentence about each lost part.
         """
         found = list(place_readers(self._files, topics, window))
         heap = [(source.place.start_ns, rank) for rank, source in enumerate(found)]

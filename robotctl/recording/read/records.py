@@ -1,7 +1,6 @@
 """Read the records of an MCAP file that may be damaged or hostile.
 
-`InputFile.record` reads a record of the file, `head_blocks` the records of a decompressed chunk.
-Any damage raises `Damaged`; every length is checked before memory is allocated.
+Any damage raises `Damaged`. Every length is checked before memory is allocated.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ def parse(kind: type[_Record], data: bytes) -> _Record:
 
     Raises:
         Damaged: The content is malformed.
-        MemoryError: There is no memory; this says nothing about the file.
+        MemoryError: There is no memory.
     """
     try:
         return kind.read(_ExactStream(BytesIO(data)))  # type: ignore[attr-defined,no-any-return]
@@ -112,7 +111,7 @@ class InputFile:
         on_progress: Callable[[int, int], None] = lambda done, total: None,
         source: Source | None = None,
     ) -> None:
-        """Open `path`, a regular file, or read `source`; `path` is then only its name.
+        """Open the regular file `path` or, if given, `source` under the name `path`.
 
         `on_progress` gets bytes done and in total while a `.mcap.zstd` is decompressed.
 
@@ -182,7 +181,7 @@ class InputFile:
             yield self.read(offset, min(_PIECE_BYTES, end - offset))
 
     def record(self, offset: int) -> Record:
-        """Return where the record at `offset` begins and ends, and its opcode; skip the content.
+        """Return place and opcode of the record at `offset`.
 
         Raises:
             Damaged: The file ends inside the opcode or the length of the record.
@@ -201,7 +200,7 @@ class InputFile:
         return self.read(record.content, record.length)
 
     def failed(self, reason: str) -> Unreadable:
-        """Return the error for a failure of disk or memory; `failure` keeps the first error."""
+        """Note a failure of disk or memory, and return its error."""
         note_read_failure(f"{self.path}: {reason}")
         failure = Unreadable(reason)
         self.failure = self.failure or failure
@@ -234,7 +233,7 @@ def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, in
 
 
 def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
-    """Yield lists that have the position and the head of each record in a chunk.
+    """Yield position and head of each record in a chunk, in lists.
 
     Raises:
         Damaged: After the last record, if the next one is cut off or malformed.
@@ -280,13 +279,13 @@ def _short_head(data: bytes, position: int) -> RecordHead:
 
 
 LOST_HEADER: Final = Header(profile="", library="")
-"""Returned in place of a header that consists of zeros, which a power cut can cause."""
+"""The result for a header of zeros, which a power cut can cause."""
 
 ZEROS: Final = "it is not an MCAP file: it begins with zeros"
 
 
 def read_header(file: InputFile) -> tuple[Header, int]:
-    """Return the header and the offset after it; a header of zeros is returned as LOST_HEADER.
+    """Return the header, or LOST_HEADER for one of zeros, and the offset after it.
 
     Raises:
         Damaged: The file is empty, or no MCAP file.
@@ -306,8 +305,6 @@ def read_header(file: InputFile) -> tuple[Header, int]:
 def read_attachment(file: InputFile, offset: int) -> Attachment:
     """Return the attachment whose record is at `offset`.
 
-    Fields after the checksum, which a later version of the format may add, are ignored.
-
     Raises:
         Damaged: There is no attachment, its checksum is wrong, or it is too large.
     """
@@ -320,6 +317,7 @@ def read_attachment(file: InputFile, offset: int) -> Attachment:
     attachment: Attachment = parse(Attachment, content)
     texts = len(attachment.name.encode()) + len(attachment.media_type.encode())
     covered = _ATTACHMENT_FIXED_BYTES + texts + len(attachment.data)
+    # A later version of the format may add fields after the checksum.
     crc = int.from_bytes(content[covered : covered + 4], "little")
     if crc and crc != crc32(memoryview(content)[:covered]):
         raise Damaged("its checksum is wrong")

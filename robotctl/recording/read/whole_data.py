@@ -1,7 +1,6 @@
 """Read every byte of a file's data section and summary, and check that the records agree.
 
-In a file of robotctl, each record must also have exactly the bytes that robotctl writes for its
-content. In files of other writers, only a contradiction is a flaw.
+In files of robotctl, each record must have exactly the bytes that robotctl writes.
 """
 
 from __future__ import annotations
@@ -66,10 +65,7 @@ MAX_FLAWS: Final = 20
 
 @dataclass(frozen=True, slots=True)
 class Flaw:
-    """A part of a file that is not as it was written: the bytes from `start` to `end`.
-
-    `end` is the offset after the last byte. `text` says what is wrong, without place and file name.
-    """
+    """Wrong bytes of a file, from `start` to before `end`. `text` does not name the place."""
 
     start: int
     end: int
@@ -125,11 +121,11 @@ _STATES: Final = {
 
 @dataclass(slots=True)
 class WholeData(FileIndex):
-    """The content of a data section; offsets in bytes, times in nanoseconds.
+    """The content of a data section.
 
     `end` is the offset of the DataEnd record, or where the reading had to stop. `crc` is the
-    checksum of all bytes before `end`. `told_crc` is the checksum in the DataEnd record; 0 means
-    that the writer computed none, and None means that there is no such record.
+    checksum of all bytes before `end`. `told_crc` is that in the DataEnd record, 0 if the writer
+    computed none, None without such a record.
     """
 
     end: int = 0
@@ -138,10 +134,7 @@ class WholeData(FileIndex):
     listed: dict[int, dict[int, Any]] = field(
         default_factory=lambda: {opcode: {} for opcode in _LISTED}
     )
-    """The records that the summary must have, by opcode, and by id (schema, channel) or offset.
-
-    The value is the content of a schema or channel; of all others, the parsed index record.
-    """
+    """The records that the summary must have, by opcode, and by id (schema, channel) or offset."""
 
     bad_chunks: set[int] = field(default_factory=set)
     """Offsets of the chunks that cannot be read."""
@@ -189,9 +182,9 @@ def read_data_section(
     stop: float = inf,
     on_progress: Callable[[int], None] = lambda offset: None,
 ) -> WholeData:
-    """Read the data section up to its DataEnd record or up to `stop`, and add faults to `flaws`.
+    """Read the data section up to its DataEnd record or `stop`, and add faults to `flaws`.
 
-    `on_progress` is called with the offset of each record that was read.
+    `on_progress` gets the offset of each record.
 
     Raises:
         Damaged: The file does not begin as an MCAP file, or the disk fails.
@@ -486,10 +479,7 @@ _LISTED: Final[dict[int, Callable[[bytes], tuple[int, Any]]]] = {
 
 
 def compare_summary(summary: bytes, start: int, data: WholeData, flaws: Flaws) -> None:
-    """Add a flaw for each difference between summary and data; `start` is the summary's offset.
-
-    A summary of robotctl must list each record once. Other writers may leave some out.
-    """
+    """Add a flaw for each difference between `data` and the summary, which begins at `start`."""
     data.listed[Opcode.STATISTICS] = {0: data.statistics()}
     seen: dict[int, set[int]] = {opcode: set() for opcode in _LISTED}
     groups: dict[int, tuple[int, int]] = {}

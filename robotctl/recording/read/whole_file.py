@@ -1,7 +1,6 @@
 """Read a whole file: check that each byte belongs to a record and is as it was written.
 
-A file of robotctl has only one form for its content: each bit is covered by a checksum or
-determined by the others. Bytes that a killed recorder leaves after the last commit are no flaw.
+Bytes that a killed recorder leaves after the last commit are no flaw.
 """
 
 from __future__ import annotations
@@ -66,8 +65,7 @@ class SealState(StrEnum):
 class SealOfRead:
     """The result of checking the seal of a file.
 
-    `links` are the valid links in order, `head` is the last of them. `wrong` says in sentences
-    where the chain or a signature is broken; `notes` has other sentences about the seal.
+    `links` are the valid links in order. `wrong` has sentences about a broken chain or signature.
     """
 
     opening: Opening | None = None
@@ -195,9 +193,7 @@ def find_footer(file: InputFile, data_end: int) -> Record:
     """Return the footer of the trailer that begins with the DataEnd record at `data_end`.
 
     Raises:
-        Damaged: There is no footer of the right length, or the file ends before it. This does not
-            tell which byte is wrong: after a record with a changed length, the walk continues in
-            the middle of another record, and fails later.
+        Damaged: There is no footer of the right length, or the file ends before it.
     """
     offset = data_end
     while True:
@@ -219,11 +215,7 @@ def find_footer(file: InputFile, data_end: int) -> Record:
 
 
 def ends_in_commit(file: InputFile, summary_start: int, end: int) -> bool:
-    """Return whether a kill interrupted a commit, whose first bytes therefore follow `end`.
-
-    Such a file ends with a footer that points back to the summary before `end`, or to a copy of it:
-    `McapFile` writes that footer first when it moves the trailer.
-    """
+    """Return whether a killed commit has left the bytes after `end`."""
     try:
         last = file.read(file.size - FOOTER_BYTES, FOOTER_BYTES)
         if RECORD_HEAD.unpack_from(last) != (Opcode.FOOTER, FOOTER_CONTENT_BYTES):
@@ -231,15 +223,13 @@ def ends_in_commit(file: InputFile, summary_start: int, end: int) -> bool:
         footer = parse(Footer, last[RECORD_HEAD.size : -len(MAGIC)])
     except Damaged:
         return False
+    # `McapFile` writes such a footer first when it moves the trailer.
     points_back = footer.summary_start == summary_start and not footer.summary_crc
     return last.endswith(MAGIC) and (points_back or footer.summary_start > end)
 
 
 def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
-    """Remove the last chunk from `data` if the summary does not list it; return its size [bytes].
-
-    A kill between writing the chunk and the summary leaves such a chunk.
-    """
+    """Remove the last chunk from `data` if `summary` lacks it; return its size [bytes], else 0."""
     chunks = data.listed[Opcode.CHUNK_INDEX]
     if not chunks:
         return 0
@@ -277,8 +267,7 @@ _LOOK_AGAIN_S = 0.002
 class WholeFile:
     """The result of reading every byte of a file and checking its seal.
 
-    `flaws` is empty if the file is whole. `loose` counts the bytes of a commit that a kill
-    interrupted: they are no part of the recording.
+    `loose` counts the bytes of an unfinished commit, which are no part of the recording.
     """
 
     path: Path
@@ -389,8 +378,7 @@ def _compare_crcs(
 ) -> None:
     """Compare the CRCs (stored, computed) of the bytes `covered` (start, end).
 
-    If they differ because of one flipped bit, its byte is the flaw, or else the whole `span`. The
-    latter is not added if an earlier flaw has shown the place already (`place_known`).
+    The flaw of a difference is the byte of one flipped bit, or else `span` unless `place_known`.
     """
     told, found = crcs
     start, end = covered
@@ -443,12 +431,11 @@ def _check_trailer(file: InputFile, found: WholeFile) -> None:
 def find_flip(told: int, found: int, size: int) -> int | None:
     """Return the offset of the byte in which one flipped bit explains the difference, or None.
 
-    `told` and `found` are CRC-32s of `size` bytes. A CRC is linear: the effect of a bit depends on
-    the number of bytes behind it. The search makes steps of about sqrt(`size`) bytes. It takes
-    0.1 s for 100 MB.
+    `told` and `found` are CRC-32s of `size` bytes. The search takes 0.1 s for 100 MB.
     """
     if told == found or size > MAX_FLIP_BYTES:
         return None
+    # A CRC is linear: the effect of a bit depends only on the number of bytes behind it.
     step = isqrt(size) + 1
     zeros, behind_of = bytes(step), dict[int, int]()
     for bit in range(8):

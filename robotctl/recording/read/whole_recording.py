@@ -43,10 +43,10 @@ MAX_MISSING: Final = 20
 
 @dataclass(slots=True)
 class Chain:
-    """The result of checking that the seals of each robot's files continue one another.
+    """The findings of `check_chain` about the seals of each robot's files.
 
-    `wrong` has a sentence for each file whose seal does not continue the seal of the file before,
-    `absent` a sentence for each gap in the numbers of the files.
+    `wrong` has a sentence for each pair of files that do not continue one another, `absent` a
+    sentence for each gap between files.
     """
 
     wrong: list[str] = field(default_factory=list)
@@ -169,11 +169,10 @@ class RecordingProof(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class VerifiedRecording:
-    """The result of reading every byte of a recording and checking its seals.
+    """The result of `verify_recording`.
 
-    `unreadable` has a sentence for each file that is missing or is no MCAP file, and for each part
-    that was not read. `flaws` has a sentence for each wrong byte, and for each count that
-    contradicts another.
+    `unreadable` has a sentence for each part that is missing or not read, `flaws` one for each
+    wrong byte or count.
     """
 
     path: Path
