@@ -92,10 +92,9 @@ EndingOf = Callable[[str | None], Ending]
 
 
 class JournalEnd(NamedTuple):
-    """The time at which the journal ends: `t_ns` is steady, `log_ns` since the epoch.
+    """The end of the journal: `t_ns` is steady, `log_ns` since the epoch.
 
-    `stalled_ns` is the stalled time of the control loop shortly before. `clock_changed` is True if
-    the wall clock ever changed against the steady clock.
+    `stalled_ns` is the stalled time shortly before; `clock_changed` is about the wall clock.
     """
 
     t_ns: int
@@ -144,10 +143,7 @@ class JournalOrigin:
 
 
 def differing_parameters(noted: Mapping[str, str], params: KernelParams) -> Iterator[str]:
-    """Yield a sentence for each initial parameter of the kernel that differs from `noted`.
-
-    `noted` is the metadata in the first file of the recording.
-    """
+    """Yield a sentence for each initial kernel parameter that differs from the metadata `noted`."""
     config = Config(kernel=params)
     values = flat(config)
     for key, leaf in keyed_leaves(config):

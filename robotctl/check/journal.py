@@ -136,10 +136,7 @@ class Gap:
 
 
 def in_sequence(entries: Iterable[JournalEntry]) -> Iterator[JournalEntry | Gap]:
-    """Yield the entries ordered by `seq`, and the gaps and repetitions among them.
-
-    While a lower number is missing, up to MAX_DISORDER entries are held back.
-    """
+    """Yield the entries ordered by `seq`, and the gaps and repetitions among them."""
     held: list[tuple[int, int, JournalEntry]] = []
     first: int | None = None
     following = 0

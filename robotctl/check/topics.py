@@ -1,7 +1,4 @@
-"""The topics of the robot whose journal is checked, and messages paired with journal entries.
-
-A message and its journal entry reach a recording in either order.
-"""
+"""The topics of the robot whose journal is checked, and messages paired with journal entries."""
 
 from __future__ import annotations
 

@@ -84,10 +84,7 @@ def changed(config: Config, settings: Settings) -> Config:
 
 
 def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
-    """Return `config` with the recorded parameters of the simulated robot, and the rejected keys.
-
-    A key is rejected if this version does not know it or does not allow its value.
-    """
+    """Return `config` with the recorded simulator parameters, and the keys that are rejected."""
     unknown = []
     for name, value in info.metadata.get(INFO_RECORD, {}).items():
         key = name.removeprefix(PARAMETER_PREFIX)

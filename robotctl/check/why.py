@@ -153,10 +153,7 @@ _SILENT = "a silence is zero at once, and ends the motion"
 
 @dataclass(frozen=True, slots=True)
 class Why:
-    """The explanation of an incident; an unknown part is "" or ().
-
-    In a recording of 0.1.0, `what` includes the advice.
-    """
+    """The explanation of an incident; an unknown part is "" or ()."""
 
     what: str
     remedies: tuple[Remedy, ...]

@@ -206,10 +206,7 @@ def _confirm(speed_mps: float, rate_rps: float) -> None:
 def _report(
     robot: str, file: Path, settings: Mapping[str, Any], present: KernelParams, out: Path | None
 ) -> tuple[dict[str, object], Iterator[str], UsageError | None]:
-    """Measure, write the proposed configuration to `out`, if given, and return the report.
-
-    The report is an object and lines, with the error if `out` could not be written.
-    """
+    """Measure and return the report; write the proposed configuration to `out`, if given."""
     from robotctl.commission import (
         file_lines,
         measured,

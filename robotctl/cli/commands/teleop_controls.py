@@ -218,10 +218,7 @@ class Gamepad:
         return STAND if self._is_forgotten else wish
 
     def _is_followed(self, message: Mapping[str, Any]) -> bool:
-        """Return whether the message counts.
-
-        After MAX_SILENCE_S without a message, the gamepad follows the publisher of this message.
-        """
+        """Return whether the message counts; a second publisher counts only after a silence."""
         now_s = time.monotonic()
         if message["publisher"] != self._publisher:
             if now_s - self._heard_s <= MAX_SILENCE_S:

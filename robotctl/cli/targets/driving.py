@@ -1,7 +1,4 @@
-"""Wait for a drive, end it at an interruption, and hold the robot's lease.
-
-An interruption is Ctrl-C, a signal, or the end of stdout's reader.
-"""
+"""Wait for a drive, end it at an interruption, and hold the robot's lease."""
 
 from __future__ import annotations
 

@@ -18,10 +18,7 @@ def is_hidden(name: str) -> bool:
 
 
 def print_names(graph: Any, kind: str, *, every: bool, as_json: bool, types: bool = False) -> None:
-    """Print the names of a `kind` in a Graph: topics, services or nodes.
-
-    With `every`, hidden names are printed, too; with `types`, each name has its types in brackets.
-    """
+    """Print the names of a `kind` in a Graph: topics, services or nodes."""
     found = [(each if kind == "nodes" else each["name"], each) for each in graph[kind]]
     listed = [(name, each) for name, each in found if every or not is_hidden(name)]
     lines = [printable(name) for name, _ in listed]

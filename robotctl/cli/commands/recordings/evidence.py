@@ -100,9 +100,9 @@ def _recordings(
 ) -> Iterator[dict[str, Any]]:
     """Yield the recordings in the journal of decisions, then the robot's other recordings.
 
-    `told` has the facts of the whole journal, `found` those since `since_ns`. An earlier recording
-    is left out, unless `found` names it. A recording that is missing at its path is searched in
-    `elsewhere`.
+    `told` has the facts of the whole journal, `found` those since `since_ns`. A recording that
+    ended before `since_ns` is left out, unless `found` names it. A recording that is missing at its
+    path is searched in `elsewhere`.
     """
     wanted = set(found.recordings())
     removed = {Path(str(item.get("file"))).parent.name for item in told.removed}
@@ -169,10 +169,7 @@ def _knows_more(recording: Path, log: LogContent) -> bool:
 
 
 def _prove(items: Sequence[dict[str, Any]], *, quiet: bool) -> dict[str, Any] | None:
-    """Add verdicts to the finished recordings among `items`; return the summary of `verify`.
-
-    Return None if no recording is finished.
-    """
+    """Add verdicts to the finished `items`; return the summary of `verify`, or None."""
     from robotctl.check.run import check_recordings
     from robotctl.cli.commands.recordings.verify import verify_together
 
