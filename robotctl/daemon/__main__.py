@@ -1,4 +1,4 @@
-"""`python -m robotctl.daemon`; a Ctrl-C during its imports ends it without a traceback."""
+"""`python -m robotctl.daemon`, which a Ctrl-C during its imports ends without a traceback."""
 
 import gc
 import sys

@@ -75,7 +75,7 @@ async def _taken_type(host: Host, command: CommandParams) -> CommandType:
 
 
 STABLE_S: Final = 0.6
-"""Discovery is complete after this time without a new node; daemons announce every 0.5 s."""
+"""Time without a new node after which discovery is complete; daemons announce every 0.5 s."""
 
 LOOK_S: Final = 0.05
 
@@ -124,7 +124,7 @@ OF_ONE_START: Final = ("directory", "git.directory", "user")
 def _note_start(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> None:
-    """Log who started the daemon, then the software and the configuration if they have changed."""
+    """Log who started the daemon, and changes of the software and the configuration."""
     known = provenance()
     log.add(
         DecisionKind.START,

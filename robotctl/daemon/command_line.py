@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a daemon. If `sim` is None, it simulates unless odometry has a publisher."""
+    """The options of a daemon. A `sim` of None simulates unless odometry has a publisher."""
 
     robot: str
     config: Path | None
@@ -127,11 +127,7 @@ def absolute(recordings: Path) -> Path:
 
 
 def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
-    """Return the comma-separated patterns of all uses of an option.
-
-    Raises:
-        UsageError: A pattern is not allowed.
-    """
+    """Return the comma-separated patterns of all uses of an option, or raise UsageError."""
     patterns = [pattern for text in given for pattern in text.split(",")]
     for pattern in patterns:
         if not is_topic_pattern(pattern):
@@ -140,7 +136,7 @@ def _patterns(option: str, given: list[str]) -> tuple[str, ...]:
 
 
 def parse_ready_fd(arguments: list[str]) -> int | None:
-    """Return the value of `--ready-fd`, None if it is not given; ignore errors in other options."""
+    """Return the value of `--ready-fd` or None, without errors about other options."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--ready-fd", type=int)
     others, _ = ros_arguments.split(arguments)

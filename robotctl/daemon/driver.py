@@ -218,7 +218,7 @@ class Driver:
         return self._control.state.mode.name
 
     async def stop_robot(self) -> None:
-        """Command zero velocity and wait for its recording; an exception is only logged."""
+        """Command zero velocity and wait for its recording; log any exception."""
         try:
             send_zero(self._control, self._velocity)
             await last_zero_arrived(self._velocity, self._modes, self.recorder.received)
@@ -261,7 +261,7 @@ class Driver:
 
 
 def _first_state(stop: LatchedStop | None, *, autostart: bool) -> State:
-    """Return the kernel's first state, with the latched `stop` if any; ACTIVE with `autostart`."""
+    """Return the kernel's first state, with the latched `stop` if any."""
     lifecycle = LifecycleState.ACTIVE if autostart else LifecycleState.UNCONFIGURED
     state = State() if stop is None else latched(*stop)
     return replace(state, health=Health(lifecycle=lifecycle))

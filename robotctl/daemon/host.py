@@ -42,7 +42,7 @@ class Host:
     decisions: DecisionLog
 
     warnings: list[PartWarning]
-    """Functions that return a warning for `status`; each part of the daemon appends its own."""
+    """Functions that return a warning for `status`, from each part of the daemon."""
 
 
 @asynccontextmanager
@@ -88,7 +88,7 @@ class Diagnostics:
 
 
 def diagnose(warnings: Sequence[str]) -> Diagnosis:
-    """Return the diagnosis of the daemon: WARN if there are warnings, otherwise OK."""
+    """Return the diagnosis of the daemon."""
     values = {f"warning {n}": text for n, text in enumerate(warnings[:MAX_WARNINGS], start=1)}
     if not warnings:
         return Diagnosis("daemon", DiagnosticLevel.OK, "no warnings", values)

@@ -1,4 +1,4 @@
-"""One daemon for each robot: an flock, which Linux releases even if its owner is killed."""
+"""The lock of a robot, which lets only one daemon own the robot."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def owned(path: Path, robot: str) -> Iterator[None]:
 
 
 def is_owned(path: Path) -> bool:
-    """Return whether a daemon owns the lock; True if another user's lock file cannot be opened."""
+    """Return whether a daemon owns the lock, True if another user's file cannot be opened."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except PermissionError:
@@ -68,7 +68,7 @@ def _locked(fd: int) -> bool:
 
 
 def _living_owner(fd: int) -> int:
-    """Return the pid of the lock's owner, 0 if the file has none or the process has ended."""
+    """Return the pid of the lock's owner, 0 if unknown or ended."""
     try:
         pid = int(os.pread(fd, 20, 0))
         os.kill(pid, 0)

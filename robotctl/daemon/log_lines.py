@@ -20,19 +20,19 @@ from typing import Any, Final
 from robotctl.base.text import printable, without_colours
 
 CAPACITY_BYTES: Final = 1024 * 1024
-"""Size of the queue for stderr: the largest pipe of Linux (/proc/sys/fs/pipe-max-size)."""
+"""Size of the queue for stderr, the largest pipe of Linux (/proc/sys/fs/pipe-max-size)."""
 
 FLUSH_S: Final = 1.0
-"""How long, at the end, to wait until the queue for stderr is written."""
+"""Limit on the wait for the queue for stderr at the end."""
 
 WINDOW_S: Final = 10.0
 """Length of a burst of equal lines, counted from its first line."""
 
 WRITTEN: Final = 3
-"""How many lines of a burst are written; a lasting fault must not fill the disk."""
+"""How many lines of a burst are written."""
 
 MAX_REMEMBERED: Final = 200
-"""Limit on the bursts that are remembered; a further one replaces the oldest."""
+"""Limit on the bursts that are remembered."""
 
 _FORMAT: Final = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 _STDERR: Final = 2
@@ -44,7 +44,7 @@ class PlainFormatter(logging.Formatter):
     """A formatter whose output can neither control a terminal nor contain a forged log line."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's own name
-        """Remove colours, escape control characters and indent extra lines; return the text."""
+        """Return the text without colours and control characters, with indented extra lines."""
         lines = without_colours(super().formatMessage(record)).split("\n")
         return "\n    ".join(printable(line) for line in lines)
 
@@ -64,7 +64,7 @@ class Repeats:
         self._bursts: dict[tuple[str, int, str, str], _Burst] = {}
 
     def admit(self, record: logging.LogRecord) -> Iterator[logging.LogRecord]:
-        """Yield notes on bursts that are over, then `record` if it is one of the first WRITTEN."""
+        """Yield notes on bursts that are over, and `record` if it is one of the first WRITTEN."""
         yield from self._over(record.created)
         if record.levelno < logging.WARNING:
             yield record
@@ -83,7 +83,7 @@ class Repeats:
                 yield record
 
     def end(self) -> Iterator[logging.LogRecord]:
-        """Yield a note for each burst of which lines were left out, and forget all bursts."""
+        """Yield a note for each burst with lines left out, and forget all bursts."""
         for burst in self._bursts.values():
             yield from _note(burst)
         self._bursts.clear()
@@ -98,7 +98,7 @@ class Repeats:
 
 
 def _note(burst: _Burst) -> Iterator[logging.LogRecord]:
-    """Yield a note about how many lines of the burst were left out, if any."""
+    """Yield a note with the number of the burst's lines left out, if any."""
     left_out = burst.count - WRITTEN
     if left_out > 0:
         record = burst.record
@@ -107,12 +107,12 @@ def _note(burst: _Burst) -> Iterator[logging.LogRecord]:
 
 
 class LineHandler(QueueHandler):
-    """Queues lines without blocking; lines that repeat often or do not fit are only counted."""
+    """Queues lines without blocking, and counts lines that repeat often or do not fit."""
 
     def __init__(self, lines: Any = None) -> None:
         super().__init__(lines)
         self.lost = 0
-        """Lines that could not be queued; counted under the handler's lock."""
+        """Lines that could not be queued, counted under the handler's lock."""
         self._repeats = Repeats()
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -159,7 +159,7 @@ class _StderrListener(QueueListener):
         return None
 
     def handle(self, record: Any) -> None:
-        """Write lines to stderr; block for as long as stderr blocks."""
+        """Write lines to stderr, as long as it blocks."""
         rest = memoryview(record)
         while rest:
             try:
@@ -173,7 +173,7 @@ class _StderrListener(QueueListener):
                 return
 
     def stop(self) -> None:
-        """Write the lines and restore stderr, or drop all output if that takes over FLUSH_S."""
+        """Write the lines and restore stderr, or drop all output after FLUSH_S."""
         self._is_ending = True
         with suppress(BlockingIOError):
             os.write(self.writing, _END)  # fd 2 keeps the pipe open, so there is no end of file
@@ -189,7 +189,7 @@ class _StderrListener(QueueListener):
 
 
 class _StderrHandler(LineHandler):
-    """Writes lines to a listener's pipe; a note with the number of lost lines follows a loss."""
+    """Writes lines to a listener's pipe, with a note on lost lines after a loss."""
 
     def __init__(self, listener: _StderrListener, line: str) -> None:
         super().__init__()
@@ -202,11 +202,7 @@ class _StderrHandler(LineHandler):
         return f"{self.format(record)}\n"
 
     def enqueue(self, record: Any) -> None:
-        """Queue a line.
-
-        Raises:
-            BlockingIOError: The pipe has no room.
-        """
+        """Queue a line, or raise BlockingIOError if the pipe has no room."""
         untold = self._untold()
         note = f"log: {untold} lines are missing here, stderr did not take them\n" if untold else ""
         data = f"{chr(10) * self._is_torn}{note}{record}".encode(errors="backslashreplace")
@@ -227,7 +223,7 @@ class _StderrHandler(LineHandler):
 
 @contextmanager
 def log_to_stderr(line: str = _FORMAT) -> Iterator[None]:
-    """Log to stderr within the block in the format `line`; write the rest for at most FLUSH_S."""
+    """Log to stderr within the block, in the format `line`. The end takes at most FLUSH_S."""
     listener = _StderrListener()
     handler = _StderrHandler(listener, line)
     listener.start()
@@ -248,11 +244,11 @@ CAPACITY: Final = 500
 """Limit on the lines that wait for the loop."""
 
 LINES_PER_TURN: Final = 10
-"""Limit on lines published in one turn of the loop: a control tick must not wait for a burst."""
+"""Limit on lines published in one turn of the loop, as a control tick must not wait for a burst."""
 
 Line = tuple[logging.LogRecord, str]
 Publish = Callable[[logging.LogRecord, str], None]
-"""Publishes a record with its text, which is safe for a terminal."""
+"""Publishes a record with its text."""
 
 
 class LoopHandler(LineHandler):
@@ -268,7 +264,7 @@ class LoopHandler(LineHandler):
         self._loop = loop
         self._publish = publish
         self._failed = 0
-        """The number of lines that could not be published; counted in the loop's thread."""
+        """The number of lines that could not be published."""
         self._told = 0
         self._is_called = False
         self._publishing_thread: int | None = None
@@ -297,7 +293,7 @@ class LoopHandler(LineHandler):
             self._loop.call_soon_threadsafe(self._turn)
 
     def close(self) -> None:
-        """Publish the lines that wait; called in the loop's thread."""
+        """Publish the waiting lines, in the loop's thread."""
         super().close()
         while self._waiting:
             self._publish_some()

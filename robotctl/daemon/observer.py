@@ -1,4 +1,4 @@
-"""The daemon that only records, while other software drives: no commands, no simulation."""
+"""The daemon that only records, while other software drives."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 class Observer:
-    """Records, and serves the control socket; it creates no kernel and no robot."""
+    """Records, and serves the control socket, without a kernel and a robot."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -49,7 +49,7 @@ class Observer:
         host.supervisor.report_to(self._note)
 
     def methods(self) -> Mapping[str, Method[Any]]:
-        """Return the methods of the control socket; some, such as `drive`, refuse each call."""
+        """Return the methods of the control socket, of which those of a robot refuse each call."""
         return {
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),
@@ -72,11 +72,11 @@ class Observer:
             _log.info("stopping")
 
     def mode(self) -> str:
-        """Return "observing", as there is no robot with a mode."""
+        """Return "observing"."""
         return OBSERVING
 
     async def stop_robot(self) -> None:
-        """Do nothing: there is no robot to stop."""
+        """Do nothing, as there is no robot to stop."""
 
     def _note(self, event: Event) -> None:
         if isinstance(event, FaultReported):

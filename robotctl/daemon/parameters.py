@@ -1,4 +1,4 @@
-"""The parameters of a running daemon: each change is checked here and decided by the kernel."""
+"""The parameters of a running daemon."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ START_CURE = "stop the daemon, and start it with --config, or with --ros-args -p
 
 
 Setting = tuple[str, Any]
-"""A key and its new value, in the form that a configuration file uses."""
+"""A key and its new value, as in a configuration file."""
 
 
 class Parameters:
@@ -106,7 +106,7 @@ def listed(config: Config) -> list[ParameterAnswer]:
 
 
 def serve_parameters(session: Session, parameters: Parameters, robot: str) -> None:
-    """Serve the ROS parameters of each visible node; errors suggest commands for `robot`."""
+    """Serve the ROS parameters of each visible node."""
 
     def ask(settings: Sequence[Setting], source: str) -> str:
         try:
@@ -132,7 +132,7 @@ def _served_by(key: str, nodes: Container[str]) -> str:
 
 
 def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
-    """Return {name: method} for `param_list`; `config()` returns the present configuration."""
+    """Return the method `param_list` by name; `config()` returns the present configuration."""
 
     async def get_list(_: NoParams) -> ParameterList:
         return {"parameters": listed(config())}
@@ -141,7 +141,7 @@ def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
 
 
 def parameter_methods(parameters: Parameters, robot: str) -> dict[str, Method[Any]]:
-    """Return the methods `param_list` and `param_set`; errors suggest commands for `robot`."""
+    """Return the methods `param_list` and `param_set` by name."""
 
     async def set_one(params: ParamSetParams) -> ParameterSet:
         wanted = flat(with_text(parameters.config, params.key, params.value))[params.key]

@@ -1,4 +1,4 @@
-"""The daemon's log on ROS: lines on /rosout, and the services for the levels of its loggers."""
+"""The daemon's log on ROS: lines on /rosout, and the services for logger levels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PACKAGE: Final = "robotctl"
 """The parent of the loggers of all our modules."""
 
 MAX_NAMES: Final = 200
-"""Limit on the loggers that get a level: any ROS node may name new ones, and Python keeps all."""
+"""Limit on the loggers with a level, as any ROS node may name new ones and Python keeps all."""
 
 MAX_NAME_LENGTH: Final = 256
 
@@ -28,7 +28,7 @@ _log.setLevel(logging.INFO)  # changes are logged even if all loggers are set hi
 
 
 class LoggerLevels:
-    """Gets and sets levels of Python's loggers; `own` is the ROS name of robotctl's own loggers."""
+    """Gets and sets levels of Python's loggers; robotctl's own have the ROS name `own`."""
 
     def __init__(self, own: str) -> None:
         self.own = own
@@ -40,7 +40,7 @@ class LoggerLevels:
         return self.own if logger == PACKAGE or logger.startswith(f"{PACKAGE}.") else logger
 
     def get(self, name: str) -> int:
-        """Return the ROS level that is set on this logger itself, or 0 if none is set."""
+        """Return the ROS level that is set on this logger itself, 0 if none is set."""
         if name == "":
             return LEVELS[level_name(logging.getLogger().level)]
         logger = logging.root.manager.loggerDict.get(self._python_name(name))
@@ -48,7 +48,7 @@ class LoggerLevels:
         return {"UNSET": UNSET, **LEVELS}[level_name(level)]
 
     def refusal(self, name: str, level: int) -> str:
-        """Return "" if the level can be set, else the reason why not."""
+        """Return "" if the level can be set, else the reason."""
         if level not in (UNSET, *LEVELS.values()):
             return "Failed reason: Invalid logger level."  # the words of rclpy
         if len(name) > MAX_NAME_LENGTH:
@@ -83,7 +83,7 @@ class LoggerLevels:
         return refusal
 
     def apply(self, levels: Iterable[LogLevel]) -> None:
-        """Set the levels that a command line gives; skip each level that `refusal` forbids."""
+        """Set the levels of a command line that `refusal` allows."""
         for each in levels:
             self.change(each.logger, each.level, "the command line")
 

@@ -1,4 +1,4 @@
-"""Reports to systemd, if it started the daemon: ready, alive, mode, stopping (sd_notify(3))."""
+"""Reports to systemd: ready, alive, mode, stopping (sd_notify(3))."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ServiceManager:
 
     @asynccontextmanager
     async def reporting(self, status: Callable[[], str]) -> AsyncIterator[None]:
-        """Within the block, report keep-alives and the status; at its end, report "stopping"."""
+        """Report keep-alives and the status within the block, and "stopping" at its end."""
         task = asyncio.create_task(self._run(status))
         try:
             yield

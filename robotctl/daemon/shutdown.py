@@ -21,7 +21,7 @@ RAMP_DOWN_S = 3.0
 """How long the ramp may take before zero is commanded at once."""
 
 LAST_ZERO_S = 1.0
-"""How long the last zero is retried; by then the robot's command timeout has stopped it."""
+"""How long the last zero is retried."""
 
 
 _ENDING = "the daemon is stopping"

@@ -51,7 +51,7 @@ async def simulate(
 
 
 def simulated_robot(session: Session, config: Config, command_type: CommandType) -> SimulatedRobot:
-    """Return the robot that the configuration describes; its commands are of `command_type`."""
+    """Return the robot that the configuration describes, for commands of `command_type`."""
     topics = config.kernel
     return SimulatedRobot(
         session,

@@ -51,7 +51,7 @@ class StartReport:
                 signal.raise_signal(signal.SIGTERM)  # no user knows of this daemon
 
     def fail(self, error: RobotctlError) -> int:
-        """Report the error that ends the daemon; return the exit code."""
+        """Report the error that ends the daemon, and return the exit code."""
         if not self._in_background:
             with suppress(OSError):  # stderr is closed
                 print(f"robotctl: {error}", file=sys.stderr)
@@ -62,7 +62,7 @@ class StartReport:
         return error.exit_code
 
     def fail_unexpectedly(self, error: Exception) -> int:
-        """Report a bug as `fail` does; a daemon in the background also logs the traceback."""
+        """Report a bug, and return the exit code."""
         if self._in_background:
             _log.error("the daemon failed", exc_info=error)
         return self.fail(RobotctlError(f"unexpected {type(error).__name__}: {error}"))
@@ -87,7 +87,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _main(arguments: list[str], notes: list[str], at_end: ExitStack) -> int:
-    """Run a daemon and return its exit code; the caller closes `at_end` last, after the log."""
+    """Run a daemon and return its exit code. The caller closes `at_end` after the log."""
     report = StartReport(command_line.parse_ready_fd(arguments))
     try:
         allow_many_files()

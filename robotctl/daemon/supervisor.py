@@ -1,4 +1,4 @@
-"""Runs the daemon's tasks; a failed task becomes a fault, at which the kernel commands zero."""
+"""Runs the daemon's tasks, and reports failed tasks as faults."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from robotctl.kernel.types import Cause, Event, FaultCleared, FaultReported
 _log = logging.getLogger(__name__)
 
 RESTART_S = 1.0
-"""Pause before a failed task runs again: a lasting fault must not fill log and journal."""
+"""Pause before a failed task runs again, as a lasting fault must not fill log and journal."""
 
 MAX_DETAIL = 1000
-"""Limit on a fault's text in journal and status [characters]; the log has the full text."""
+"""Limit on a fault's text in journal and status [characters]."""
 
 RESERVE_BYTES = 16 * 1024 * 1024
 """Size of the reserve of address space for stopping the robot when memory runs out."""
@@ -26,7 +26,7 @@ RESERVE_BYTES = 16 * 1024 * 1024
 OUT_OF_MEMORY = "out of memory: the robot was stopped, and the daemon ends"
 
 Work = Callable[[], Coroutine[Any, Any, None]]
-"""Returns a new coroutine of a task; called each time that the task is started."""
+"""Returns a new coroutine of a task at each start of the task."""
 
 
 class Supervisor:
@@ -42,7 +42,7 @@ class Supervisor:
         self._reserve: mmap | None = mmap(-1, RESERVE_BYTES, MAP_PRIVATE | MAP_ANONYMOUS)
 
     def check(self) -> None:
-        """Check that the daemon has not run out of memory.
+        """Raise an error if the daemon has run out of memory.
 
         Raises:
             RobotctlError: The daemon has run out of memory.
@@ -51,11 +51,11 @@ class Supervisor:
             raise RobotctlError(OUT_OF_MEMORY)
 
     def report_to(self, dispatch: Callable[[Event], None]) -> None:
-        """Pass faults to the kernel from now on; until then they are only logged."""
+        """Pass faults to `dispatch` from now on; earlier ones are only logged."""
         self._dispatch = dispatch
 
     async def run(self, name: str, work: Work) -> None:
-        """Run the task `work` until it returns or is cancelled; after a failure, run it again."""
+        """Run the task `work` until it returns or is cancelled, again after each failure."""
         while True:
             try:
                 return await work()
@@ -93,7 +93,7 @@ class Supervisor:
         self._stop_robot(detail[:MAX_DETAIL])
 
     def _run_out(self, what: str) -> None:
-        """Stop the robot and end the daemon at the first lack of memory; ignore later ones."""
+        """Stop the robot and end the daemon at the first lack of memory."""
         if self._reserve is None:
             return
         self._reserve.close()
@@ -110,11 +110,11 @@ class Supervisor:
 POLL_S = 0.01
 
 DISCOVERY_S = 4.0
-"""How long to wait for discovery; on one machine, Fast DDS takes 0.15 s, or 2.6 s at worst."""
+"""Limit on the wait for discovery; on one machine, Fast DDS takes 0.15 s, or 2.6 s at worst."""
 
 
 async def until(condition: Callable[[], bool], deadline_s: float) -> bool:
-    """Wait at most `deadline_s` seconds for `condition()` to be true; return whether it is."""
+    """Wait for `condition()` to be true, at most `deadline_s` [s]; return whether it is."""
     end = time.monotonic() + deadline_s
     while not condition():
         if time.monotonic() > end:

@@ -1,1 +1,1 @@
-"""The methods of the control socket: one file for each group."""
+"""The methods of the control socket, one file for each group."""

@@ -57,7 +57,7 @@ from robotctl.ros.nodes.drive_action import DriveProgress, Goal, GoalDrive
 
 
 def default_laps(kind: PatternKind, *, wait: bool) -> int:
-    """Return 0 (endless) if the pattern is closed and the client will not `wait`, otherwise 1."""
+    """Return 0 (endless) for a closed pattern if the client does not `wait`, otherwise 1."""
     return 1 if wait or not SHAPES[kind].closed else 0
 
 
@@ -101,7 +101,7 @@ def shape_course(params: DriveParams) -> Course:
 
 
 MODE_DEADLINE_S = 30.0
-"""Deadline of a mode request; longer than the ramp of any usual robot."""
+"""Deadline of a mode request."""
 
 
 class DrivingMethods:
@@ -160,7 +160,7 @@ class DrivingMethods:
         )
 
     async def begin(self, kind: PatternKind, source: str) -> Reply:
-        """Request one lap, or endless laps if the pattern is closed; return the kernel's reply."""
+        """Request one lap of an open pattern or endless ones of a closed one; return the reply."""
         pattern, laps = self.pattern(kind), default_laps(kind, wait=False)
         event = DriveRequested(*self._control.stamp(), pattern, laps, False, source)
         return await self._control.request(event)
@@ -256,7 +256,7 @@ class DrivingMethods:
         return result
 
     async def _end_drive(self, params: EndDriveParams) -> ModeAnswer:
-        """Ramp down if the robot moves; otherwise do nothing."""
+        """Ramp down if the robot moves."""
         state = self._control.state
         if state.mode is not Mode.MOVING:  # a request for IDLE would release an error or a stop
             return {"message": f"The robot stands, in {state.mode.name}", "mode": state.mode.name}
@@ -295,7 +295,7 @@ class DrivingMethods:
         }
 
     def begin_goal(self, goal: Goal, source: str, *, remote: bool) -> GoalDrive:
-        """Request the drive of `goal` at once; `remote` is true if another host may have sent it.
+        """Request the drive of `goal` at once; a `remote` goal may come from another host.
 
         Raises:
             ValueError: The goal has 0 laps, an unknown pattern, or a speed above the limit.
@@ -326,7 +326,7 @@ class DrivingMethods:
         return DriveProgress(drive.score.distance_m, laps, drive.cross_track_m(odometry.pose))
 
     def ramp_down(self, request_id: int, source: str) -> bool:
-        """Ramp down the drive that `request_id` began; return whether it was still running."""
+        """Ramp down the drive that `request_id` began; return False if it has ended already."""
         state = self._control.state
         is_it = state.drive is not None and state.drive.request_id == request_id
         if not is_it or state.mode is not Mode.MOVING:
@@ -339,11 +339,7 @@ class DrivingMethods:
         return ModeRequested(*self._control.stamp(), Mode.IDLE, source)
 
     def _check_speed(self, speed_mps: float | None) -> None:
-        """Check a speed against the configured limit.
-
-        Raises:
-            UsageError: The speed is above the limit.
-        """
+        """Raise UsageError if a speed is above the configured limit."""
         limit_mps = self._control.params.limits.linear_mps
         if speed_mps is not None and speed_mps > limit_mps:
             raise UsageError(

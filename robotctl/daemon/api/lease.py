@@ -1,4 +1,4 @@
-"""The methods for the lease: only its holder may start and steer motion."""
+"""The methods for the lease, whose holder alone may start and steer motion."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SILENT_PERIODS = 4
 
 @dataclass(slots=True)
 class _Holder:
-    """A client that requested the lease; `ended` gets a sentence when the lease is released."""
+    """A client that requested the lease."""
 
     client: int
     token: str

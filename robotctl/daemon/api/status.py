@@ -1,4 +1,4 @@
-"""The methods that every daemon offers: its status, its stop, the ROS graph, the recording."""
+"""The methods of every daemon, for its status, its stop, the ROS graph and the recording."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from robotctl.ros.tap.tap import Tap
 
 
 def graph_methods(tap: Tap) -> dict[str, Method[Any]]:
-    """Return the methods `graph`, `graph_topic` and `graph_node`; they read rcl's graph cache."""
+    """Return the methods `graph`, `graph_topic` and `graph_node` by name."""
 
     async def graph(_: NoParams) -> Graph:
         return cast(Graph, overview(tap.node))
@@ -93,7 +93,7 @@ class StatusSource:
         self._started = time.monotonic()
 
     def status(self, stats: RecorderStats) -> Status:
-        """Return the object of `robotctl status --json`; `stats` are the recorder's counts."""
+        """Return the object of `robotctl status --json`, with the recorder's counts in `stats`."""
         robot, report = self._options.robot, self._robot
         unknown = cast(RobotFacts, dict.fromkeys(RobotFacts.__annotations__))
         facts = unknown if report is None else report.facts()
@@ -115,7 +115,7 @@ class StatusSource:
         }
 
     def summary(self, notes: list[str]) -> StartSummary:
-        """Return what a ready daemon reports, with `notes`, to the process that started it."""
+        """Return the report of a ready daemon to the process that started it."""
         status = self.status(self.recording.stats())
         return {
             "ready": True,
@@ -133,7 +133,7 @@ class StatusSource:
 
 
 def common_methods(status: StatusSource, stop: asyncio.Event) -> dict[str, Method[Any]]:
-    """Return the methods `status` and `stop` by name; calling `stop` sets the event `stop`."""
+    """Return the methods `status` and `stop` by name. The method `stop` sets the event `stop`."""
 
     async def get_status(_: NoParams) -> Status:
         stats = status.recording.stats()
@@ -151,11 +151,11 @@ SPLIT_DEADLINE_S = 5.0
 """How long the disk may take to finish one file and start the next."""
 
 COMMIT_DEADLINE_S = 5.0
-"""How long `record_commit` waits for the disk; the recorder writes its queue every 0.25 s."""
+"""How long `record_commit` waits for the disk."""
 
 
 def recording_methods(recorder: FlightRecorder, robot: str) -> dict[str, Method[Any]]:
-    """Return the methods `record_*` and `mark`; their errors suggest commands for `robot`."""
+    """Return the methods `record_*` and `mark` by name."""
 
     def failure() -> str:
         return for_robot(recorder.failure, robot)

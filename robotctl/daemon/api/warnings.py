@@ -23,7 +23,7 @@ from robotctl.kernel.types import Cause
 from robotctl.recording import RecorderStats
 
 PartWarning = Callable[[], str]
-"""Returns a sentence about what is wrong with a part of the daemon, or ""."""
+"""Returns a warning about a part of the daemon, or ""."""
 
 RECENT_S = 600.0
 """How long `status` still shows a problem that is over."""
@@ -47,11 +47,11 @@ _CHECKS = tuple(
         Cause.COMMAND_TYPES_MIXED,
     )
 )
-"""Checks of start conditions that cause a warning even if no motion is requested."""
+"""Checks of start conditions that cause a warning even without a request for motion."""
 
 
 class Warnings:
-    """Collects the warnings of a daemon; some suggest commands for `robot`.
+    """Collects the warnings of a daemon.
 
     In an observer, `control` is None and `faults` has a sentence for each failed task.
     """
@@ -72,7 +72,7 @@ class Warnings:
         self._wider_discovery = wider_discovery()
 
     def now(self, stats: RecorderStats) -> list[str]:
-        """Return all warnings, one sentence each; `stats` are the recorder's counts."""
+        """Return all warnings, with the recorder's counts in `stats`."""
         return [for_robot(warning, self._robot) for warning in self._all(stats)]
 
     def of_recording(self, stats: RecorderStats) -> list[str]:

@@ -1,1 +1,1 @@
-"""From input to effect: events for the kernel, its decisions, and how these are carried out."""
+"""Events for the kernel, its decisions, and their execution."""

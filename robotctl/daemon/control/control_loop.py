@@ -23,7 +23,7 @@ from robotctl.ros.nodes.velocity_publisher import VelocityPublisher
 _log = logging.getLogger(__name__)
 
 LINE_BYTES: Final = 128
-"""How many bytes of `schedstat` are read: its one line of three numbers is shorter."""
+"""Number of bytes read from `schedstat`, more than its one line has."""
 
 
 class ProcessorWait:
@@ -45,14 +45,14 @@ class ProcessorWait:
             self._account = None
 
     def waited_ns(self) -> int:
-        """Return the total time [ns] for which the thread has waited for a CPU; 0 if unknown."""
+        """Return the total time [ns] that the thread has waited for a CPU, 0 if unknown."""
         if self._account is None:
             return 0
         return int(os.pread(self._account, LINE_BYTES, 0).split()[1])
 
 
 def pressure() -> str:
-    """Return the CPU pressure (PSI, last 10 s) as text that begins with a comma, "" if unknown."""
+    """Return the CPU pressure (PSI, last 10 s) as text after a comma, "" if unknown."""
     try:
         with open("/proc/pressure/cpu", encoding="ascii") as file:
             fields = file.readline().split()
@@ -77,10 +77,10 @@ SHOWN_FRAMES = 3
 """How many calls the report of a stall names, from the innermost outwards."""
 
 BUSY_SHARE = 0.5
-"""The machine counts as busy if the thread waits for a CPU for more than this share of the time."""
+"""Share of the time above which a thread's wait for a CPU shows a busy machine."""
 
 ACCOUNT_PERIOD_NS = 100_000_000
-"""Period of reading the CPU wait; reading it at each tick took 3 % of the loop's time."""
+"""Period of reading the CPU wait, which at each tick took 3 % of the loop's time."""
 
 
 class Gate(Protocol):
@@ -93,7 +93,7 @@ class Gate(Protocol):
         """Publish a zero while the gate is closed; called in the watchdog's thread."""
 
     def open_gate(self) -> tuple[int, int]:
-        """Pass all commands again; return the counts of zeros sent and of commands withheld."""
+        """Pass all commands again, and return the counts of zeros sent and of commands withheld."""
 
 
 class Watchdog:
@@ -117,10 +117,10 @@ class Watchdog:
         self._last_ns = 0
         """The time of the last tick."""
         self._stalled_ns = 0
-        """The time of the last tick before the stall; `_last_ns` changes at the next tick."""
+        """The time of the last tick before the stall."""
         self._account_ns = 0
         self._waited_ns = 0
-        """How long [ns] the loop's thread had waited for a CPU until the time `_account_ns`."""
+        """The thread's CPU waiting time [ns] at the time `_account_ns`."""
         self._holding = False
         self._where = ""
         self._unsent = 0
@@ -200,7 +200,7 @@ class Watchdog:
         return self._due_s() <= 0.0 and not self._ended.is_set()
 
     def _due_s(self) -> float:
-        """Return the time [s] until the loop counts as stalled; negative if it does already."""
+        """Return the time [s] until the loop counts as stalled, negative if it does already."""
         return (self._last_ns + self._limit_ns - self._now_ns()) / NS_PER_S
 
     def _hold(self) -> None:
@@ -222,7 +222,7 @@ class Watchdog:
 
 
 def where(frame: FrameType | None) -> str:
-    """Return the innermost calls of a stack as text, without opening a source file."""
+    """Return the innermost calls of a stack as text."""
     calls: list[str] = []
     while frame is not None and len(calls) < SHOWN_FRAMES:
         code = frame.f_code
@@ -233,10 +233,10 @@ def where(frame: FrameType | None) -> str:
 
 
 LOOKS_ENOUGH_HZ: Final = 50.0
-"""At this control rate or above, commands of other publishers are handled once in each tick."""
+"""Control rate from which commands of other publishers are handled once in each tick."""
 
 COMMAND_LATENCY_S: Final = 0.01
-"""Below LOOKS_ENOUGH_HZ, commands of other publishers are handled within this time."""
+"""Limit on the delay of other publishers' commands below LOOKS_ENOUGH_HZ."""
 
 
 class ControlLoop:

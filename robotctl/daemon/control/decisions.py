@@ -1,4 +1,4 @@
-"""Adds requests and the kernel's decisions to the journal of decisions, which is kept for years."""
+"""Adds requests and the kernel's decisions to the journal of decisions."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Decisions:
         self._log = log
         self._show = show
         self._open: dict[int, tuple[Request, int]] = {}
-        """Unanswered requests by id, each with the number of changes before it (`_changes`)."""
+        """Unanswered requests by id, each with the value of `_changes` before it."""
         self._changes = 0
         self._latch: dict[str, bool] = {}
         """{"latched": True} or {"released": True}, for the log entry of the next mode change."""
@@ -48,7 +48,7 @@ class Decisions:
         self._open[request.request_id] = request, self._changes
 
     def decided(self, effect: Effect) -> None:
-        """Log an effect of the kernel; velocity commands, which are too many, are ignored."""
+        """Log an effect of the kernel other than a velocity command."""
         match effect:
             case LatchEmergencyStop():
                 self._latch = {"latched": True}

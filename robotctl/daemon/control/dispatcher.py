@@ -1,4 +1,4 @@
-"""Passes every event to the kernel, which makes all decisions, and has its effects carried out."""
+"""Passes events to the kernel, and has its effects carried out."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from robotctl.recording.format.names import MADE_BY
 
 
 class Journal:
-    """The journal of the kernel's events and effects; passes each entry to `write`."""
+    """Writes the kernel's events and effects to the journal."""
 
     def __init__(
         self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0
@@ -129,7 +129,7 @@ SNAPSHOT_PERIOD_NS = 10 * NS_PER_S
 
 
 class Control:
-    """Owns the kernel; for the loop's thread only.
+    """The owner of the kernel, for the loop's thread only.
 
     An event that is dispatched while another event is handled waits in a FIFO. Each event is
     journaled before the kernel handles it, each effect after it was carried out or has failed.
@@ -145,12 +145,14 @@ class Control:
         asked: Callable[[Request], None] = lambda request: None,
     ) -> None:
         """`on_failure(error, where)` is called for a failed effect, `asked(request)` for each
-        request before its dispatch. `urgent()` returns an event to handle before the dispatched
-        one, or None."""
+        request.
+
+        `urgent()` returns an event to handle before the dispatched one, or None.
+        """
         self._kernel = kernel
         self._journal = journal
         self.carry_out: Callable[[Effect], None] = _nothing_yet
-        """Carries out an effect; the driver sets it before the first event."""
+        """Carries out an effect."""
 
         self._requests = requests
         self._on_failure = on_failure
@@ -172,7 +174,7 @@ class Control:
         return self._kernel.params
 
     def dispatch(self, event: Event) -> None:
-        """Pass `event` to the kernel, and carry out the effects that it returns."""
+        """Pass `event` to the kernel, and carry out its effects."""
         if self._busy:
             self._events.append(event)
             return
@@ -188,7 +190,7 @@ class Control:
             self._busy = False
 
     def journal_snapshot(self, t_ns: int) -> None:
-        """Write a snapshot of the kernel into the journal now; `dispatch` repeats it every 10 s."""
+        """Journal a snapshot of the kernel now, and every 10 s from now on."""
         self._snapshot_t_ns = t_ns
         self._journal.snapshot(t_ns, self._kernel)
 
@@ -197,7 +199,7 @@ class Control:
         return time.monotonic_ns(), self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
-        """Dispatch a request now; return the future of the kernel's reply."""
+        """Dispatch a request now, and return the future of the kernel's reply."""
         reply = self._requests.replies.expect(event.request_id)
         self._asked(event)
         try:

@@ -1,4 +1,4 @@
-"""Passes each effect of the kernel to the part of the daemon that carries it out."""
+"""Carries out the kernel's effects in the parts of the daemon."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ class Effects:
     """Called for each effect except velocity commands."""
 
     true_errors: Callable[[int], TrueErrors | None] = lambda request_id: None
-    """Returns the errors of a simulated robot by its true pose, None if they are unknown."""
+    """Returns the errors of a drive by the simulated robot's true pose, None if unknown."""
 
     measured: Callable[[DriveEnded], DriveEnded] = lambda ended: ended
     """Returns an ended drive, with NaN for errors that were not measured."""
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect; a reply waits at most DISK_S for the latch to be on the disk."""
+        """Carry out an effect. A reply waits at most DISK_S for the latch to be on the disk."""
         if isinstance(effect, PublishTwist):
             self.publish_twist(effect.twist)
             return

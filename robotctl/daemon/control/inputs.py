@@ -82,13 +82,13 @@ class ForeignCommands:
 PUBLISHER_POLL_S = 0.2
 
 LOOKS_PER_INSPECTION = 5
-"""Every fifth time, `watch_graph` reads the subscriptions even if their count has not changed."""
+"""Number of looks after which `watch_graph` reads the subscriptions even at an unchanged count."""
 
 
 async def has_odometry_publisher(
     odometry: OdomSubscriber, stop: asyncio.Event, until_s: float
 ) -> bool:
-    """Return whether odometry has a publisher; wait for it until `stop` or `until_s` [steady s]."""
+    """Return whether odometry gets a publisher before `stop` or the time `until_s` [steady s]."""
     remaining_s = until_s - time.monotonic()
     await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), remaining_s)
     return odometry.count_publishers() > 0
@@ -118,7 +118,7 @@ async def watch_graph(
 
 
 class Inputs:
-    """The handlers of all inputs; each method is called in the loop's thread."""
+    """The handlers of all inputs, for the loop's thread."""
 
     def __init__(
         self,
@@ -143,14 +143,14 @@ class Inputs:
         return lambda *values: self._control.dispatch(kind(time.monotonic_ns(), *values))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
-        """Handle a velocity that another node requests; ignore it outside of a guarded motion."""
+        """Handle a velocity that another node requests for a guarded motion."""
         if self._control.state.guarded is not None:
             self._control.dispatch(
                 GuardedCommandReceived(time.monotonic_ns(), twist, publisher, sequence)
             )
 
     def lifecycle(self, state: LifecycleState, source: str) -> None:
-        """Handle a transition of the lifecycle node; ramp down unless `state` is ACTIVE."""
+        """Handle a transition of the lifecycle node. A state other than ACTIVE ramps down."""
         present = self._control.state
         if state is present.health.lifecycle:
             return
@@ -159,7 +159,7 @@ class Inputs:
             self.service_call(Mode.IDLE.value, source)
 
     def service_call(self, requested: int, source: str) -> asyncio.Future[Reply]:
-        """Dispatch the mode request of a ROS node; return the future of its reply."""
+        """Dispatch the mode request of a ROS node, and return the future of its reply."""
         return self._control.begin(
             ModeRequested(*self._control.stamp(), requested, source, remote=self._is_remote())
         )
@@ -170,7 +170,7 @@ HOST = slice(4)
 
 
 def is_remote(own_gid: bytes) -> bool:
-    """Return whether the present request may come from another host; clients can forge this."""
+    """Return whether the present request may come from another host, which clients can forge."""
     # Even with discovery limited to this machine, another host may name it as its static peer.
     gid = requester()
     return not is_on_this_machine_only() if gid is None else gid[HOST] != own_gid[HOST]

@@ -61,7 +61,7 @@ def read(path: Path) -> LatchedStop | None:
 
 
 def write(path: Path, stop: LatchedStop) -> None:
-    """Write and sync the file; a power cut leaves either the old file or the new one.
+    """Write and sync the file. A power cut leaves either the old file or the new one.
 
     Raises:
         OSError: The file cannot be written.
@@ -128,11 +128,7 @@ class _Waiter:
 
 
 class Latch:
-    """The latch of one robot; its methods are called in the loop's thread.
-
-    Its own thread writes to the disk. A change that is requested during a write replaces a waiting
-    one.
-    """
+    """The latch of one robot, for the loop's thread; its own thread writes to the disk."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -149,16 +145,16 @@ class Latch:
         self._thread = Thread(target=self._serve, name="latch", daemon=True)
 
     def read(self) -> LatchedStop | None:
-        """Return the latched stop, or None if there is none; this blocks."""
+        """Return the latched stop, or None if there is none. This blocks."""
         return read(self._path)
 
     def set(self, reason: str, cause: Cause) -> None:
-        """Save a stop in the latch's thread; return at once."""
+        """Start to save a stop."""
         stop = LatchedStop(reason, cause)
         self._begin(partial(write, self._path, stop), "a restart would forget this stop")
 
     def clear(self) -> None:
-        """Remove the saved stop in the latch's thread; return at once."""
+        """Start to remove the saved stop."""
         fault = "a restart would stop the robot again"
         self._begin(partial(remove, self._path), fault)
 
@@ -182,7 +178,7 @@ class Latch:
         self._waiters.append(waiter)
 
     def warning(self) -> str:
-        """Return a sentence if the file is not up to date, or ""."""
+        """Return a sentence about an outdated file, or ""."""
         problem, since = self._problem, self._busy_since
         if since is not None and time.monotonic() - since > DISK_S and self._change is not None:
             problem = self._overdue(self._change)

@@ -48,7 +48,7 @@ class GroundTruth:
         self._closure_m = nan
 
     def follow(self, drive: Drive, measured: Pose) -> None:
-        """Add the error of the present true pose; `measured` is the present pose of odometry."""
+        """Add the error of the present true pose; odometry has the pose `measured`."""
         true = self.truth()
         if true is None or not drive.path.segments:
             return
@@ -75,7 +75,7 @@ class GroundTruth:
             self._closure_m = end.distance(self._seen_from_odometry(true))
 
     def errors(self, request_id: int) -> TrueErrors | None:
-        """Return the errors of the drive that `request_id` began, or None if they are unknown."""
+        """Return the errors of the drive that `request_id` began, None if unknown."""
         if self._drive is None or request_id != self._drive.request_id:
             return None
         score = self._score
@@ -92,7 +92,7 @@ class GroundTruth:
 
 
 MAX_DRIVEN_POSES = 20_000
-"""Limit on the poses of the driven path; above it, every second pose is removed."""
+"""Limit on the poses of the driven path, above which every second pose is removed."""
 
 MIN_STEP_M = 0.005
 """A pose nearer than this to the previous one is not kept."""
@@ -116,7 +116,7 @@ def is_connected(control: Control) -> bool:
 
 
 class RobotReport:
-    """Reports the kernel's state and the driven path; `sim` is true if the robot is simulated."""
+    """Reports the kernel's state and the driven path."""
 
     def __init__(self, control: Control, ground_truth: GroundTruth | None = None) -> None:
         self.sim = False
@@ -128,7 +128,7 @@ class RobotReport:
         self._measured_id: int | None = None
 
     def drove_to(self, pose: Pose) -> None:
-        """Add a measured pose of the present drive to the driven path; update the true errors."""
+        """Add a measured pose of the present drive to the driven path and the true errors."""
         drive = self._control.state.drive
         assert drive is not None
         self.ground_truth.follow(drive, pose)
@@ -144,7 +144,7 @@ class RobotReport:
                 del self._driven[1::2]
 
     def drive_ended(self, ended: DriveEnded) -> DriveEnded:
-        """Note a drive's end; return `ended`, with NaN errors if its errors were not measured."""
+        """Note a drive's end, and return it with NaN for errors that were not measured."""
         self.ground_truth.end(ended)
         if ended.request_id == self._measured_id:
             return ended
@@ -207,7 +207,7 @@ class RobotReport:
         return {"passed": passed, "conditions": conditions}
 
     def remedies(self) -> tuple[Remedy, ...]:
-        """Return what the operator can do to leave the present mode."""
+        """Return the operator's ways out of the present mode."""
         return remedies_for(self._control.state.cause)
 
 
@@ -243,7 +243,7 @@ SHOW_PERIOD_S = 1.0
 
 
 class ShownStatus:
-    """Publishes the robot status and the command lock, by which a mux can block other commands."""
+    """Publishes the robot status and the command lock."""
 
     def __init__(self, modes: ModeService, control: Control, lock: CommandLock) -> None:
         self._lock = lock

@@ -50,7 +50,7 @@ def clip_command(job: ClipJob) -> Sequence[str]:
 
 
 class BlackBox:
-    """Starts processes that cut clips. Use this in the loop's thread."""
+    """Cuts clips in processes. Use this in the loop's thread."""
 
     def __init__(
         self,
@@ -113,7 +113,6 @@ class BlackBox:
         await asyncio.shield(self._cutting)
 
     async def _cut(self, event: RecordedEvent, deadline_s: float) -> None:
-        """Run the process for one clip, and log its result."""
         what, deadline_s = event.kind.value, deadline_s + self._limits.patience_s
         lengths_s = self.params.clip_before_s, self.params.clip_after_s
         job = ClipJob(self._recording, Moment.of(event), *lengths_s)

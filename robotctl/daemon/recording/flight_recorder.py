@@ -68,7 +68,7 @@ class FlightRecorder:
         """
         self._robot = options.robot
         self.on_failure: Callable[[str], None] = lambda detail: None
-        """Called in the loop when recording has failed, if `on_recorder_failure` is "stop"."""
+        """Called in the loop when recording has failed, if a failure must stop the robot."""
 
         self.on_file: Callable[[], None] = lambda: None
         """Called in the loop at each split, to journal a snapshot for the next file."""
@@ -135,7 +135,7 @@ class FlightRecorder:
         self._config = config
 
     def work(self) -> dict[str, Work]:
-        """Return the tasks of the recorder by name; the daemon must run all tasks."""
+        """Return the tasks of the recorder by name, for the daemon to run."""
         return {
             "recorder": self.tap.run,
             "black box": self._black_box.run,
@@ -147,7 +147,7 @@ class FlightRecorder:
         }
 
     def open_journal(self, publisher: JournalPublisher) -> Callable[[bytes, int], None]:
-        """Return `write(serialized, seq)`, which records and publishes journal entry `seq`."""
+        """Return `write(serialized, seq)`, which records and publishes a journal entry."""
         write = self.tap.reserve(publishers.JOURNAL_TOPIC)
 
         def write_entry(serialized: bytes, seq: int) -> None:
@@ -185,7 +185,7 @@ class FlightRecorder:
         return event
 
     def split(self) -> None:
-        """Start the next file, without a gap; return before it is open."""
+        """Start the next file without a gap, and return before it is open."""
         self._recorder.split()
         self.on_file()
 
@@ -201,7 +201,7 @@ class FlightRecorder:
         return counts
 
     async def close(self) -> None:
-        """Close the recording; then send the seal's last head, cut clips and start the indexing."""
+        """Close the recording, send the seal's last head, cut clips and start the indexing."""
         self._closing = True
         stats = await asyncio.to_thread(self._recorder.close)
         _log.info(
@@ -255,7 +255,6 @@ _EVIDENCE = (
 
 
 def _own_topics(config: Config) -> list[str]:
-    """Return the topics that the daemon publishes itself."""
     others = (publishers.DIAGNOSTICS_TOPIC, publishers.ROSOUT_TOPIC, HEAD_TOPIC)
     return [config.kernel.command.topic, *(topic.name for topic in (*_EVIDENCE, *others))]
 

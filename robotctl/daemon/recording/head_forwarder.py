@@ -22,8 +22,8 @@ LAST_TIMEOUT_S = 2.0
 class HeadForwarder:
     """Publishes each head of the seal, and runs a program with it. Use only in the loop's thread.
 
-    The program's last arguments are the head (hex) and the file's name. Heads that a newer head
-    replaces during a run are not passed to the program.
+    The program's last arguments are the head (hex) and the file's name. During a run of the
+    program, only the newest head waits for the next run.
     """
 
     def __init__(self, command: str, publish: Callable[[str], object] | None) -> None:
@@ -46,7 +46,7 @@ class HeadForwarder:
         """Why the last run of the program failed, or ""."""
 
     def take(self, head: Head) -> None:
-        """Publish a head, and schedule a run of the program with it."""
+        """Publish a head, and schedule a run of the program."""
         if self._publish is not None:
             self._publish(head.digest)
         if self._command:
@@ -54,13 +54,13 @@ class HeadForwarder:
             self._arrived.set()
 
     async def run(self) -> None:
-        """Run the program each time that a new head has arrived, until cancelled."""
+        """Run the program after each new head, until cancelled."""
         while True:
             await self._arrived.wait()
             await self._forward(COMMAND_TIMEOUT_S)
 
     async def finish(self) -> None:
-        """Run the program for the last head, unless it has already run for this head."""
+        """Run the program for a last head that still waits."""
         await self._forward(LAST_TIMEOUT_S)
 
     async def _forward(self, timeout_s: float) -> None:
@@ -74,7 +74,7 @@ class HeadForwarder:
         self.problem = problem
 
     async def _call(self, head: Head, timeout_s: float) -> str:
-        """Run the program; return what went wrong, or ""."""
+        """Run the program, and return its failure or ""."""
         name = f"recording.head_command ({self._command[0]})"
         try:
             process = await asyncio.create_subprocess_exec(

@@ -21,14 +21,14 @@ _log = logging.getLogger(__name__)
 TIDY: Final = "robotctl.recording.keep.repair:tidy_job"
 
 MAX_PROBLEMS: Final = 10
-"""Limit on the problems that the status shows; the log has all."""
+"""Limit on the problems that the status shows."""
 
 
 class Tidier:
-    """Tidies the folder of recordings in processes of the lowest priority.
+    """Tidies the folder of recordings in processes of the lowest priority, in the loop's thread.
 
-    Use it only in the loop's thread. Files that a crash left are repaired once, after `begun`; the
-    retention policy is applied then and after each `finished`.
+    Files that a crash left are repaired once, after `begun`. The retention policy is applied then
+    and after each `finished`.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:
@@ -43,7 +43,7 @@ class Tidier:
         """Set when a file of the present recording is finished."""
 
         self.problems: list[str] = []
-        """The first MAX_PROBLEMS sentences about what was lost or has failed."""
+        """The first MAX_PROBLEMS sentences about losses and failures."""
 
         self.on_removed: Callable[[str], None] = lambda path: None
         """Called with the path of each file that was removed."""
@@ -128,7 +128,7 @@ class Indexer:
         self._file_closed.set()
 
     async def run(self) -> None:
-        """Index the recordings whenever the number of closed files `has_grown`, until cancelled."""
+        """Index the recording each time that it has grown enough, until cancelled."""
         indexed = 0
         while True:
             await self._file_closed.wait()

@@ -1,4 +1,4 @@
-"""The versions of the software that makes a recording; they are metadata of each file."""
+"""The versions of the software that makes a recording."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 
 
 def provenance() -> dict[str, str]:
-    """Return versions, host, user and git commits; unknown values are left out.
+    """Return the known versions, host, user and git commits.
 
     `git.robotctl` is the commit of robotctl's source tree, `git.directory` that of the working
     folder.
@@ -52,7 +52,7 @@ def provenance() -> dict[str, str]:
 
 @cache
 def _provenance(directory: Path | None) -> Mapping[str, str]:
-    """Return the values of `provenance`, read only once: an update may replace the files later."""
+    """Return the values of `provenance`, read before an update can replace the files."""
     known = {
         "robotctl": robotctl.__version__,
         "python": platform.python_version(),
@@ -99,7 +99,7 @@ def revision(folder: Path) -> str:
 
 
 def _values(git: Path, name: str) -> Iterator[str]:
-    """Yield each text that git's files have for the reference `name`; not every one is a hash."""
+    """Yield the texts in git's files for the reference `name`, not all of them hashes."""
     common = git / "commondir"
     for place in (git, git / _text(common)) if common.exists() else (git,):
         if (place / name).is_file():
@@ -112,12 +112,7 @@ def _values(git: Path, name: str) -> Iterator[str]:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a regular file.
-
-    Raises:
-        OSError: The file cannot be read, or is not a regular file.
-        ValueError: It is not UTF-8 text, or is larger than MAX_GIT_BYTES.
-    """
+    """Return the UTF-8 text of a small regular file, or raise OSError or ValueError."""
     with open_regular(path) as file:
         content = file.read(MAX_GIT_BYTES + 1)
     if len(content) > MAX_GIT_BYTES:
@@ -160,7 +155,6 @@ def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
 
 
 def _hashes(package: Path) -> Iterator[tuple[str, str]]:
-    """Yield the name and the SHA-256 of each module of the control path."""
     for path in package.rglob("*.py"):
         name = path.relative_to(package).as_posix()
         if name.startswith(CONTROL_PATH) and not name.startswith(ASIDE):

@@ -24,7 +24,7 @@ HEAVY_WINDOW_S = 5.0
 """Length of the window in which the data rate of a heavy topic is averaged."""
 
 CALM_SHARE = 0.5
-"""A heavy topic stays heavy until its data rate falls to this share of the limit."""
+"""Share of the limit below which a heavy topic is no longer heavy."""
 
 TopicKey = tuple[str, str]
 """Name and type of a topic."""
@@ -36,7 +36,7 @@ class RateMeter:
     def __init__(self) -> None:
         self._counts: Mapping[TopicKey, int] = {}
         self.rates: Mapping[TopicKey, float] = {}
-        """The latest rates; each sample replaces the object."""
+        """The latest rates, a new object after each sample."""
 
         self._t_ns = 0
 
@@ -59,7 +59,7 @@ class HeavyTopics:
         """Data rates [bytes/s] of the heavy topics over the last HEAVY_WINDOW_S."""
 
     def sample(self, t_ns: int, sizes: Mapping[TopicKey, int]) -> None:
-        """Add the bytes received so far; `t_ns` is the present steady time."""
+        """Add the bytes received until the steady time `t_ns`."""
         samples = self._samples
         samples.append((t_ns, sizes))
         while len(samples) > 2 and t_ns - samples[1][0] >= HEAVY_WINDOW_S * NS_PER_S:
@@ -77,7 +77,7 @@ class HeavyTopics:
 
 
 class _Row(msgspec.Struct):
-    """A TopicAnswer as a struct: creating and encoding it takes 60 % of the time for a dict."""
+    """A TopicAnswer as a struct, which is encoded in 60 % of the time for a dict."""
 
     name: str
     type: str
@@ -93,7 +93,7 @@ class _Row(msgspec.Struct):
 
 
 def topic_rows(topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
-    """Return the JSON list of topics in the status; a topic that `rates` lacks has the rate 0."""
+    """Return the JSON list of topics in the status, with the rate 0 if `rates` lacks a topic."""
     rows = [
         _Row(
             each.name,
@@ -118,7 +118,7 @@ MAX_TOPICS = 100
 
 
 def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-    """Return the recorder's diagnosis: ERROR unless it records, WARN after losses or warnings."""
+    """Return the recorder's diagnosis."""
     if stats.state is not RecorderState.RECORDING:
         level, message = DiagnosticLevel.ERROR, stats.failure or stats.state.value
     elif stats.dropped or stats.lost:
@@ -150,7 +150,7 @@ NO_MEMORY = "are not recorded, because memory ran out: end other programs, or ex
 
 
 class RecorderReport:
-    """Reports the counts of the recorder; its warnings suggest commands for `robot`."""
+    """Reports the counts of the recorder."""
 
     def __init__(
         self,
@@ -189,7 +189,7 @@ class RecorderReport:
         }
 
     def sample(self, stats: RecorderStats) -> None:
-        """Update the rates; called once a second."""
+        """Update the rates. Call this once a second."""
         now_ns = time.monotonic_ns()
         topics = {(each.name, each.type_name): each for each in by_topic(stats.topics)}
         self._rates.sample(now_ns, {key: topic.received for key, topic in topics.items()})
@@ -207,7 +207,7 @@ class RecorderReport:
         return diagnose(replace(stats, failure=for_robot(stats.failure, self._robot)), warnings)
 
     def heavy_warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield the name of each heavy topic that can be excluded, with a warning about it."""
+        """Yield the name of each heavy topic that can be excluded, with a warning."""
         for (topic, _), bytes_per_s in self._heavy.rates.items():
             if self._filter.can_leave_out(topic):
                 rate = f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s"

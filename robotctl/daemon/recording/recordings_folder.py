@@ -52,12 +52,12 @@ class DiskReserve:
 
         self._sizes: Mapping[str, int] = {}
         self.stopped: list[str] = []
-        """Topics that are not recorded, in the order in which they were stopped."""
+        """Topics that are not recorded, the first stopped topic first."""
 
     async def run(
         self, recorder: Recorder, folder: Path, free: Callable[[Path], int] = free_space
     ) -> None:
-        """Check the free space every LOOK_S until cancelled; return at once if the reserve is 0."""
+        """Check the free space every LOOK_S until cancelled; return at once for a reserve of 0."""
         while self._least_bytes:
             try:
                 free_bytes = await asyncio.to_thread(free, folder)
@@ -69,8 +69,7 @@ class DiskReserve:
             await asyncio.sleep(LOOK_S)
 
     def look(self, free_bytes: int, sizes: Mapping[str, int]) -> None:
-        """Stop the topic that grew most in `sizes` if `free_bytes` is low, or resume all if it is
-        high."""
+        """Stop the topic that grew most in `sizes` if space is low, or resume all topics."""
         self._free_bytes = free_bytes
         grown = {topic: size - self._sizes.get(topic, 0) for topic, size in sizes.items()}
         self._sizes = sizes
@@ -83,7 +82,7 @@ class DiskReserve:
                 self._stop(heaviest)
 
     def warnings(self) -> Iterator[str]:
-        """Yield a sentence for each stopped topic, and one if the free space is unknown."""
+        """Yield a sentence for each stopped topic, and one for an unknown free space."""
         if self._unknown:
             yield self._unknown
         for topic in islice(self.stopped, MAX_NAMED):
@@ -120,14 +119,14 @@ def _sizes(recorder: Recorder) -> dict[str, int]:
 
 
 def retention_policy(params: RecordingParams) -> RetentionPolicy:
-    """Return the configured retention policy; 0 in the configuration means no limit."""
+    """Return the configured retention policy."""
     return RetentionPolicy(
         round(params.max_total_gb * 1e9) or None, params.max_age_days * DAY_S or None
     )
 
 
 def save_recordings_path(recordings: Path, robot: str) -> list[str]:
-    """Save the path of the recordings for later commands; return a list of notes on failure."""
+    """Save the path of the recordings for later commands; return notes on a failure."""
     note = recordings_note_path(robot)
     try:
         make_private(note.parent)

@@ -48,20 +48,20 @@ class Trouble(Enum):
 
 
 class TopicWatch:
-    """Watches one topic that has an expected period; times are in seconds on a steady clock."""
+    """Watches one topic that has an expected period, in seconds on a steady clock."""
 
     def __init__(self, period_s: float, now_s: float, count: int) -> None:
-        """Watch from `now_s` on; `count` is the number of messages until then."""
+        """Watch from `now_s` on, after `count` messages."""
         self.period_s = period_s
         self.trouble = Trouble.NONE
         self.newest_s = now_s
         """When the newest message arrived."""
 
         self.restarted_s: float | None = None
-        """When a publisher replaced an earlier one, or None if that never happened."""
+        """When a publisher last replaced an earlier one, None if never."""
 
         self._patience_s = max(SILENT_S, SILENT_PERIODS * period_s) - LOOK_S
-        """`look` reports SILENT after this silence [s], as the next `look` would be too late."""
+        """Silence [s] after which `look` reports SILENT, as the next `look` would be too late."""
 
         self._window_s = max(WINDOW_S, WINDOW_PERIODS * period_s)
         self._expected = self._window_s / period_s
@@ -90,7 +90,7 @@ class TopicWatch:
         self.trouble = self._judge(now_s)
 
     def look_at_publishers(self, now_s: float, next_numbers: Mapping[bytes, int]) -> None:
-        """Detect a restart, a new publisher while no older publisher sends any more.
+        """Detect that a new publisher has replaced the older ones.
 
         `next_numbers` has the next sequence number of each publisher, the oldest publisher first.
         """
@@ -142,7 +142,7 @@ class TopicWatch:
 
 MINUTE_S: Final = 60.0
 FEWEST: Final = 20
-"""The fewest messages a minute of a regular topic; fewer at random times might look regular."""
+"""The fewest messages a minute of a regular topic."""
 
 ROUNDS: Final = 3
 """Number of irregular minutes after which the period of a topic is not learned."""
@@ -159,10 +159,10 @@ FEWEST_IN_SPAN, MOST_IN_SPAN = 0.7, 1.4
 
 
 class LearnedPeriod:
-    """Learns the mean gap between messages of one topic; times in seconds on a steady clock."""
+    """Learns the mean gap between messages of one topic, in seconds on a steady clock."""
 
     def __init__(self, count: int) -> None:
-        """Begin to learn with the next message; `count` is the number of messages so far."""
+        """Begin to learn with the next message, after `count` messages."""
         self.rounds_left = ROUNDS
         """How many more irregular minutes there may be."""
 
@@ -177,9 +177,9 @@ class LearnedPeriod:
         self._fewest, self._most = inf, 0.0
 
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
-        """Count the new messages; return the expected period [s], or None until it is learned.
+        """Count the new messages; return the expected period [s], None until it is learned.
 
-        `late` is true if the last call was over LATE_S ago; the gap is then not judged.
+        The gap before a `late` look, over LATE_S after the last one, is not judged.
         """
         if self._first is None:
             if count != self._before:
@@ -224,13 +224,13 @@ class LearnedPeriod:
 _log = logging.getLogger(__name__)
 
 LATE_S: Final = 2.0 * LOOK_S
-"""Windows and gaps are not judged if the last `look` is longer ago."""
+"""Time since the last `look` above which windows and gaps are not judged."""
 
 RECENT_S: Final = 60.0
 """How long `status` still shows a trouble that is over."""
 
 FORGET_S: Final = 600.0
-"""After this silence, a learned topic is no longer watched."""
+"""Silence after which a learned topic is no longer watched."""
 
 MAX_NAMED: Final = 20
 MAX_TROUBLES: Final = 5
@@ -238,7 +238,7 @@ MAX_LOGGED: Final = 1_000
 """Limit on the logged sentences."""
 
 _STAMP_SLACK_S: Final = 0.1
-"""A new message may be this much older than the last `look`, as `Tap` batches for up to 0.05 s."""
+"""Limit on a new message's age at the last `look`, as `Tap` batches for up to 0.05 s."""
 
 EVENTS: Final = frozenset(
     (
@@ -248,7 +248,7 @@ EVENTS: Final = frozenset(
         "rcl_interfaces/msg/ParameterEvent",
     )
 )
-"""Topics of these types may be regular for minutes and then stop without any fault."""
+"""Types of topics that may be regular for minutes and then stop without any fault."""
 
 
 def may_be_learned(topic: str, type_name: str) -> bool:
@@ -297,12 +297,12 @@ class TopicHealth:
     """
 
     def __init__(self, expected: RateByTopic, names: Iterable[str], now_s: float) -> None:
-        """`expected` has the configured rates; topics in `names` are watched before they exist."""
+        """`expected` has the configured rates. Topics in `names` are watched before they exist."""
         self._expected = expected
         self._topics: dict[str, _Topic] = {}
         self._active: dict[str, _Topic] = {}
         self._told: dict[str, _Topic] = {}
-        """Topics by name whose trouble has changed: only these may have a warning."""
+        """Topics by name whose trouble has changed."""
 
         self._looked_s = now_s
         self._logged = 0
@@ -318,7 +318,7 @@ class TopicHealth:
         learns: bool,
         now_s: float,
     ) -> None:
-        """Watch `channel` of the topic `name`; if `learns`, learn a rate that is not configured."""
+        """Watch `channel` of the topic `name`, and with `learns` learn a missing rate."""
         self._topic(name, type_name, learns=learns, now_s=now_s).channels.append(channel)
 
     def _topic(self, name: str, type_name: str, *, learns: bool, now_s: float) -> _Topic:
@@ -337,7 +337,7 @@ class TopicHealth:
         return topic
 
     def look(self, now_s: float, wall_ns: int) -> bool:
-        """Judge each topic; return whether a trouble has changed or a publisher was restarted."""
+        """Judge each topic; return whether there are news about troubles or restarts."""
         elapsed_s, self._looked_s = now_s - self._looked_s, now_s
         late, news = elapsed_s > LATE_S, False
         for topic in list(self._active.values()):

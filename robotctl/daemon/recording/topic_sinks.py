@@ -1,4 +1,4 @@
-"""The sinks of recorded topics: throttled if configured, and watched by TopicHealth."""
+"""The sinks of recorded topics, throttled if configured and watched by TopicHealth."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class TopicSinks:
         """Called when `TopicHealth.look` has found a change."""
 
         self.on_troubles: Callable[[str], None] | None = None
-        """Called with `TopicHealth.troubles()` each time that this text changes."""
+        """Called with `TopicHealth.troubles()` after each change of this text."""
 
     async def watch(self) -> None:
         """Update the health of all topics every LOOK_S and report changes, until cancelled."""
@@ -63,7 +63,7 @@ class TopicSinks:
                 self.on_news()
 
     def open(self, topic: TopicDescription) -> ViewSink:
-        """Return the sink for a topic's messages; register the topic with the recorder."""
+        """Register the topic with the recorder, and return the sink for the topic's messages."""
         described = Topic(
             topic.name, topic.type_name, topic.definition, topic.type_hash, topic.offered_qos
         )
