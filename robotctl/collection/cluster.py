@@ -1,4 +1,4 @@
-"""Runs the jobs of `robotctl gate` on a Dask cluster; its workers may join, leave or be killed."""
+"""Runs the jobs of `robotctl gate` on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ PATIENCE_S: Final = 60.0
 """How long the gate waits for a lost scheduler or a first worker."""
 
 _CHECK_S: Final = 5.0
-"""After this time without an answer, the gate checks whether there are still workers."""
+"""Time without an answer after which the gate looks whether there are still workers."""
 
 _ADDRESS = re.compile(r"(?:tcp|tls)://(?P<host>[^/\s]+|\[[^]\s]+\]):(?P<port>\d{1,5})")
 
 
 class Cluster:
-    """Runs a gate's jobs on the workers of Dask, which must all see the recordings' folder."""
+    """Runs a gate's jobs on Dask workers, which must all see the recordings' folder."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class Cluster:
                 return
 
     def _check(self, client: Client, judging: Judging, token: str) -> None:
-        """Raise Refused if a worker is unsuitable; the error names the worker."""
+        """Raise Refused if a worker is unsuitable."""
         asked = str(self._place), str(judging.store), token
         found = client.run(_state, *asked, on_error="return")
         for worker, state in found.items():
@@ -211,7 +211,7 @@ def _scheduler(client: Client) -> str:
 
 
 class _State(NamedTuple):
-    """The software of a worker, and whether it sees the recordings and the results."""
+    """The software of a worker, and its access to the recordings and the results."""
 
     software: str
     name: str
@@ -220,7 +220,7 @@ class _State(NamedTuple):
 
 
 def _state(place: str, results: str, token: str) -> _State:
-    """Return the state of this worker; runs in the worker."""
+    """Return the state of this worker, in the worker."""
     return _State(software_hash(), software_name(), Path(place).exists(), _sees(token, results))
 
 
@@ -231,7 +231,7 @@ def _judged(token: str, judging: Judging, path: Path) -> Judged:
 
 
 def _sees(token: str, results: str) -> bool:
-    """Return whether this worker sees the results of this run of the gate; runs in the worker."""
+    """Return whether this worker sees the gate's results, in the worker."""
     return ResultStore(results).has_token(token)
 
 

@@ -177,7 +177,7 @@ class GateReport:
         return _grouped(self.lost)
 
     def acceptances(self) -> dict[tuple[str, str, str], list[Path]]:
-        """Return the accepted recordings, grouped by who accepted them, when and why."""
+        """Return the accepted recordings by person, time and reason."""
         groups: dict[tuple[str, str, str], list[Path]] = {}
         for path, each in self.accepted.items():
             groups.setdefault((each.by, each.at, each.why), []).append(path)

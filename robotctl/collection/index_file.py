@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 READING: Final = "120MB"
-"""DuckDB's memory limit for a question; the process needs 60 MB more."""
+"""DuckDB's memory limit for a question."""
 
 WRITING: Final = "1GB"
 """DuckDB's memory limit while it writes a file."""
@@ -76,7 +76,7 @@ _CLOSED: Final[Mapping[str, str]] = {
 def write_parquet(
     target: Path, query: str, sources: Sequence[Path | str], options: str = ""
 ) -> None:
-    """Replace `target` by the rows of `query`, which reads `sources`; on failure, change nothing.
+    """Replace `target` by the rows of `query`, which reads `sources`, or change nothing.
 
     Raises:
         OSError: The file cannot be written, or a source cannot be read.
@@ -108,12 +108,12 @@ def file_of(stream: IO[bytes]) -> str:
 
 
 def parquet(paths: Iterable[Path | str], options: str = "") -> str:
-    """Return the SQL call that reads the Parquet files `paths`; `options` begin with a comma."""
+    """Return the SQL call that reads the Parquet files `paths`, with `options` after a comma."""
     return f"read_parquet([{patterns(paths)}], hive_partitioning = false{options})"
 
 
 def patterns(paths: Iterable[Path | str]) -> str:
-    """Return paths as SQL strings, separated by commas; glob characters are escaped."""
+    """Return paths as SQL strings with escaped glob characters, separated by commas."""
     return ", ".join(text(_pattern(each)) for each in paths)
 
 
@@ -205,7 +205,7 @@ class EventRow:
 
 @dataclass(frozen=True, slots=True)
 class TopicRow:
-    """A topic: its recorded and lost messages, and its mean rate."""
+    """A topic with its recorded and lost messages and its mean rate."""
 
     kind: ClassVar[str] = "topic"
 
@@ -218,7 +218,7 @@ class TopicRow:
 
 @dataclass(frozen=True, slots=True)
 class SampleRow:
-    """The robot at one moment: pose by odometry, command, distance from the reference, and mode."""
+    """The robot's pose by odometry, command, mode and distance from the reference at one moment."""
 
     kind: ClassVar[str] = "sample"
 
@@ -266,7 +266,7 @@ LAYOUT: Final = 1
 
 
 def index_path(recording: Path) -> Path:
-    """Return the path of a recording's index; for a single file it is FILE.mcap.index.parquet."""
+    """Return the path of a recording's index."""
     if recording.suffix == ".mcap":
         return recording.with_name(f"{recording.name}.{INDEX_FILE}")
     return recording / INDEX_FILE
@@ -296,7 +296,7 @@ def files_of(recording: Path | str) -> list[str]:
 
 
 def closed_files(files: Iterable[Path | str]) -> list[Path]:
-    """Return the files that no process is writing, sorted so that `_2` comes before `_10`.
+    """Return the files that no process is writing, in natural order.
 
     Raises:
         OSError: A file cannot be opened.
@@ -317,7 +317,7 @@ def stamp_of(files: Iterable[Path | str]) -> str:
 
 
 def write_index(target: Path, recording: str, rows: Sequence[IndexRow], stamp: str) -> None:
-    """Write an index to the file `target`; `recording` is the name of the recording.
+    """Write an index of the recording with the name `recording` to the file `target`.
 
     Raises:
         Refused: The file cannot be written.
@@ -347,5 +347,5 @@ def _lines(rows: Iterable[IndexRow], first: dict[str, str]) -> Iterable[bytes]:
 
 
 def table_columns() -> dict[str, str]:
-    """Return {column: SQL type} of an index: `recording`, `stamp`, then those of `all_columns`."""
+    """Return {column: SQL type} of an index, `recording` and `stamp` first."""
     return {"recording": "VARCHAR", "stamp": "VARCHAR", **all_columns()}

@@ -1,4 +1,4 @@
-"""Indexes one recording: rows from its journal, events and counts, and its verdicts."""
+"""Indexes one recording, with rows from its journal, events and counts, and its verdicts."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _recorded_events(info: RecordingInfo) -> Iterator[EventRow]:
 
 
 class _History:
-    """Reads the journal once, and repeats its decisions in a kernel to get pose and error."""
+    """Reads the journal once, and repeats the decisions in a kernel for pose and error."""
 
     def __init__(self, recording: Recording, info: RecordingInfo) -> None:
         self._recording = recording
@@ -132,7 +132,7 @@ class _History:
         self._mode: Mode | None = None
         self._asked: dict[int, DriveRequested | ModeRequested] = {}
         self._drives: dict[int, DriveRow] = {}
-        """The row of each drive by the id of its request, in the order of `DriveRow.drive`."""
+        """The row of each drive by request id, in the order of `DriveRow.drive`."""
 
         self._present: int | None = None
         self._sampled_ns = 0
@@ -142,11 +142,7 @@ class _History:
         self.samples: list[SampleRow] = []
 
     def read(self) -> None:
-        """Read the whole journal into the attributes.
-
-        Raises:
-            UnreadableFile: There is no journal, or an entry is damaged.
-        """
+        """Read the whole journal, or raise UnreadableFile at a damaged entry."""
         for item in steps(self._entries()):
             if isinstance(item, Gap):
                 self._kernel = None
@@ -223,7 +219,7 @@ class _History:
             self._end(event, effect)
 
     def _end(self, event: Event, ended: DriveEnded) -> None:
-        """Complete the row of a drive, or add it if the kernel could not follow the drive."""
+        """Complete the row of a drive, or add the row if the kernel could not follow the drive."""
         asked = self._asked.get(ended.request_id)
         row = self._drives.get(ended.request_id)
         has_path = row is None or row.pattern != VELOCITY
@@ -284,7 +280,7 @@ NOT_CHECKED: Final = "not checked"
 def index_recording(recording: Path) -> str:
     """Check, verify and index a recording; return "", or the reason of a failure.
 
-    If the recording is still being made, only its closed files are indexed, unchecked.
+    Of a recording that is still being made, only the closed files are indexed, unchecked.
     """
     try:
         files = files_of(recording)

@@ -1,4 +1,4 @@
-"""Judges one recording: repeats its decisions with the recorded and with other parameters."""
+"""Judges one recording by repeating its decisions with the recorded and with other parameters."""
 
 from __future__ import annotations
 

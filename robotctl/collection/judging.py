@@ -1,4 +1,4 @@
-"""The job of the gate for one recording: judge it, unless its result is stored."""
+"""The job of the gate for one recording, which judges it unless the result is stored."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MAX_BYTES: Final = 64 << 20
 
 @dataclass(frozen=True, slots=True)
 class _Sealed:
-    """A result as it is stored, with the SHA-256 of its JSON."""
+    """A stored result, with the SHA-256 of its JSON."""
 
     sha256: str
     result: dict[str, Any]
@@ -124,7 +124,7 @@ def _sealed(result: Judgement) -> bytes:
 
 
 def _opened(data: bytes) -> Judgement:
-    """Return the result in the bytes of a stored file; raise ValueError if they are damaged."""
+    """Return the result in the bytes of a stored file, or raise ValueError if damaged."""
     try:
         found = _sealed_result(json.loads(data))
         if _hash(found.result) != found.sha256:
@@ -144,7 +144,7 @@ def _name(key: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A job's judgement, or its `problem`; a `live` recording is still being written."""
+    """The answer of a job: a judgement, a `problem`, or `live` for a recording being written."""
 
     judgement: Judgement | None
     was_stored: bool = False
@@ -192,7 +192,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the stored result or None; for an unreadable recording, return its problem.
+        """Return the stored result, the problem of an unreadable recording, or None.
 
         Raises:
             Refused: The store cannot be read.
@@ -208,7 +208,7 @@ class Judging:
 
 
 Answers = Iterator[tuple[Path, Judged | None]]
-"""Each recording with its answer, in any order; None if the process was killed."""
+"""Each recording with its answer, None if the process was killed, in any order."""
 
 Engine = Callable[[Judging, Sequence[Path], Done], Answers]
 """Runs the jobs of a gate."""

@@ -1,7 +1,7 @@
 """Answers questions over the catalogue of a folder: a condition over rows, or SQL.
 
-A condition such as `laps >= 1 and max_error_m > 0.1` has Python's syntax, but only comparisons,
-arithmetic, `and`, `or` and `not`. It is translated to SQL, never evaluated.
+A condition such as `laps >= 1 and max_error_m > 0.1` is in Python's syntax. It is translated to
+SQL, never evaluated.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Condition:
 
 
 def parse_condition(source: str, columns: Collection[str]) -> Condition:
-    """Return the condition `source` as SQL; it may name the given `columns`.
+    """Return the condition `source` over `columns` as SQL.
 
     Raises:
         UsageError: The text is not a condition, or names an unknown column.
@@ -91,7 +91,7 @@ def known_column(wanted: str, columns: Collection[str]) -> str:
 
 
 class _Parser:
-    """Translates the tree of a condition to SQL; ValueError for anything outside the language."""
+    """Translates the tree of a condition to SQL, or raises ValueError."""
 
     def __init__(self, columns: Collection[str]) -> None:
         self._columns = columns
@@ -147,7 +147,7 @@ TABLES: Final[dict[str, type[Any]]] = {
     "events": EventRow,
     "topics": TopicRow,
 }
-"""The tables of a catalogue, each with its class of rows."""
+"""The tables of a catalogue, with their classes of rows."""
 
 SAMPLES: Final = "samples"
 """The table that is read from the indexes of the recordings."""
@@ -169,7 +169,7 @@ class Answer:
 
 
 def columns_of(table: str) -> tuple[str, ...]:
-    """Return the names of all columns of `table`, which is a name in `TABLES`."""
+    """Return the names of all columns of a table in `TABLES`."""
     return ("recording", *columns(TABLES[table]))
 
 
@@ -237,7 +237,7 @@ def _present(paths: Iterable[Path | str]) -> list[Path | str]:
 def _make_tables(
     connection: DuckDBPyConnection, catalogue: Path, indexes: Sequence[Path | str]
 ) -> None:
-    """Create a view of each table; the view of the samples only if there are `indexes`."""
+    """Create a view of each table, of the samples only if there are `indexes`."""
     source = parquet([catalogue])
     for table, kind in TABLES.items():
         names = ", ".join(map(name, columns_of(table)))
@@ -253,12 +253,7 @@ def _make_tables(
 
 
 def _check_reads_only(connection: DuckDBPyConnection, sql: str) -> None:
-    """Refuse a query that could write into the files that the database may read.
-
-    Raises:
-        UsageError: The query is not exactly one SELECT statement.
-        duckdb.Error: The query is wrong, or writes.
-    """
+    """Raise an error for a query that could write into the files that the database may read."""
     import duckdb
 
     statements = connection.extract_statements(sql)

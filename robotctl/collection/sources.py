@@ -61,7 +61,7 @@ class WrongContent(Divergence):
 
 @dataclass(frozen=True, slots=True)
 class LocalFile:
-    """A local file to copy to a store; `key` is the key of the copy."""
+    """A local file to copy to a store under `key`."""
 
     key: str
     path: Path
@@ -70,7 +70,7 @@ class LocalFile:
 
     @classmethod
     def of(cls, key: str, path: Path, status: os.stat_result) -> Self:
-        """Return the file `path` with the key `key`; `status` is the stat of `path`."""
+        """Return the file `path` with the key `key` and the stat `status`."""
         return cls(key, path, status.st_size, status.st_mtime_ns)
 
     def sha256(self, pace: Pace) -> str:
@@ -92,7 +92,7 @@ class LocalFile:
 
         Raises:
             UnreadableFile: The file cannot be read.
-            FileChanged: The content does not have the hash `sha256`; raised after the last piece.
+            FileChanged: After the last piece: the content does not have the hash `sha256`.
         """
         digest = hashlib.sha256()
         with open_regular_file(self.path) as file:
@@ -105,7 +105,7 @@ class LocalFile:
 
 @dataclass(frozen=True, slots=True)
 class StoredFile:
-    """An object of a store; its copy has the path `key` below the folder of the copy."""
+    """An object of a store, to copy to the path `key` below a folder."""
 
     key: str
     store: ObjectStore
@@ -134,11 +134,11 @@ class StoredFile:
         return self.found.sha256 or hash_in(self.found.key)
 
     def content(self, sha256: str) -> Iterator[bytes]:
-        """Yield the content in pieces; if `sha256` is "", the content is not checked.
+        """Yield the content in pieces, unchecked if `sha256` is "".
 
         Raises:
             StoreError: The store fails, or the object changes.
-            WrongContent: The content does not have the hash `sha256`; raised after the last piece.
+            WrongContent: After the last piece: the content does not have the hash `sha256`.
         """
         digest = hashlib.sha256()
         for begin in range(0, self.size_bytes, STORED_PIECE_BYTES):
@@ -160,7 +160,7 @@ class OfferedRecording:
     name: str
     files: list[LocalFile | StoredFile] = field(default_factory=list)
     live: bool = False
-    """Whether a running process is recording into it."""
+    """Whether the recording is still being written."""
 
     left_out: list[str] = field(default_factory=list)
 
@@ -171,7 +171,7 @@ class OfferedRecording:
 
 
 def recording_of(key: str) -> str:
-    """Return the name of the recording to which a file belongs; `key` is its path in a copy."""
+    """Return the name of the recording of a file with the path `key` in a copy."""
     return key.partition("/")[0].removesuffix(SUFFIX)
 
 
@@ -231,7 +231,7 @@ def _is_copied(key: str) -> bool:
 
 
 def local_recordings(place: Path, now_ns: int) -> list[OfferedRecording]:
-    """Return the recordings in the folder `place`, sorted; or `place` itself if it is a recording.
+    """Return the recordings in the folder `place`, sorted, or `place` if that is a recording.
 
     Links are not followed. `now_ns` is since the epoch.
 

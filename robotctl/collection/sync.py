@@ -56,14 +56,14 @@ class CopiedFile:
 
 @dataclass(slots=True)
 class Synced:
-    """The files that a run copied, and sentences about the files that it did not copy."""
+    """The files that a run copied, and sentences about other files."""
 
     complete: list[str] = field(default_factory=list)
     """Recordings that the store has completely."""
 
     copied: list[CopiedFile] = field(default_factory=list)
     live: list[str] = field(default_factory=list)
-    """Recordings that are still being made; only their finished files are copied."""
+    """Recordings that are still being made, of which only finished files are copied."""
 
     problems: list[str] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
@@ -138,7 +138,7 @@ def _add(run: Synced, recording: OfferedRecording, copy: _Copy) -> None:
 
 
 class _Copy:
-    """Copies one recording; keeps the sent files and a sentence for each that was not copied."""
+    """Copies one recording."""
 
     def __init__(
         self,
@@ -159,11 +159,7 @@ class _Copy:
         self.wrong: list[str] = []
 
     def make(self) -> None:
-        """Copy the data files, then the files that were generated from them.
-
-        Raises:
-            StoreError: The store fails.
-        """
+        """Copy the data files, then the files that were generated from the data."""
         files = self._recording.files
         for file in (each for each in files if not _is_replaced(each.key)):
             found = self._there.get(file.key, [])
@@ -310,13 +306,7 @@ def prune(
 def _read_back(
     store: ObjectStore, key: str, found: Sequence[StoredObject], path: Path, pace: Pace
 ) -> None:
-    """Check that one of the objects `found` in the store has exactly the bytes of a file.
-
-    Raises:
-        StoreError: The store fails.
-        UnreadableFile: The object is not there, or the file cannot be read.
-        WrongContent: The store has other content.
-    """
+    """Raise an error unless one of the objects in the store has exactly the bytes of a file."""
     if not found:
         raise UnreadableFile("it is not in the store")
     if not any(_is_same(store, each, path, pace) for each in found):
