@@ -1,7 +1,7 @@
 """The WebSocket protocol of Foxglove: the messages of a server, and the requests of its clients.
 
-The protocol is that of https://github.com/foxglove/ws-protocol (docs/spec.md). Integers are
-little-endian, times are in nanoseconds.
+Source: https://github.com/foxglove/ws-protocol (docs/spec.md). Integers are little-endian, times
+are in nanoseconds.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _SERVICE_RESPONSE: Final = struct.Struct("<BIII")
 
 @dataclass(frozen=True, slots=True)
 class ViewChannel:
-    """An offered topic; its messages are CDR, its definition is ros2msg text."""
+    """An offered topic, with messages in CDR and a definition in ros2msg text."""
 
     id: int
     topic: str
@@ -32,7 +32,7 @@ class ViewChannel:
 
 @dataclass(frozen=True, slots=True)
 class ViewService:
-    """An offered service without parameters; its response has `success` and `message`."""
+    """An offered service without parameters."""
 
     id: int
     name: str
@@ -73,7 +73,7 @@ def unadvertise(channel_ids: Iterable[int]) -> str:
 
 
 def warning(message: str, id: str = "") -> str:  # noqa: A002 - the field's name
-    """Return a status message; an `id` makes it replace the earlier message with the same `id`."""
+    """Return a status message, which replaces an earlier one with the same `id`."""
     said = {"op": "status", "level": _WARNING, "message": message}
     return json.dumps(said | ({"id": id} if id else {}))
 
@@ -107,14 +107,14 @@ def advertise_services(services: Iterable[ViewService]) -> str:
 
 
 def service_response(service_id: int, call_id: int, answer: Mapping[str, Any]) -> bytes:
-    """Return the response to a service call: `answer` in JSON."""
+    """Return the response to a service call, with `answer` in JSON."""
     encoding = b"json"
     head = _SERVICE_RESPONSE.pack(3, service_id, call_id, len(encoding))
     return head + encoding + json.dumps(answer).encode()
 
 
 def service_failure(service_id: int, call_id: int, message: str) -> str:
-    """Return the message about a failed service call; `message` says why it failed."""
+    """Return the message about a failed service call."""
     said = {"serviceId": service_id, "callId": call_id, "message": message}
     return json.dumps({"op": "serviceCallFailure", **said})
 
@@ -150,7 +150,7 @@ class Unsubscribe:
 
 @dataclass(frozen=True, slots=True)
 class ServiceCall:
-    """A request to call a service; there are no parameters."""
+    """A request to call a service without parameters."""
 
     service_id: int
     call_id: int
@@ -158,7 +158,7 @@ class ServiceCall:
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """A channel on which a client will publish; the client chooses `id`."""
+    """A channel on which a client will publish, under an `id` of its choice."""
 
     id: int
     topic: str
@@ -182,7 +182,7 @@ class ClientWithdrawal:
 
 @dataclass(frozen=True, slots=True)
 class ClientMessage:
-    """A message that a client publishes; `id` is the channel's id, from the client's `Offer`."""
+    """A message that a client publishes on the channel `id` of its `Offer`."""
 
     id: int
     data: bytes

@@ -1,4 +1,4 @@
-"""Control of the robot by viewers with `--control`: stop it, and drive it if there is a lease."""
+"""Control of the robot by viewers with `--control`."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class RemoteControl:
     # Services
 
     def _call(self, viewer: Viewer, request: ServiceCall) -> None:
-        """Start to forward a service call to the daemon, or answer why it cannot be forwarded."""
+        """Forward a service call to the daemon, or answer with the reason of a refusal."""
         failure = ""
         if request.service_id not in _MODES:
             failure = "there is no such service"
@@ -105,11 +105,7 @@ class RemoteControl:
             raise WrongRequest(f"this view takes {TWIST} in JSON, and moves the robot by it")
 
     def _take_velocity(self, viewer: Viewer, message: ClientMessage) -> None:
-        """Note the newest velocity that a viewer wants.
-
-        Raises:
-            WrongRequest: Another viewer drives, or the message is no velocity.
-        """
+        """Note the newest velocity that a viewer wants, or raise WrongRequest."""
         velocity = velocity_of(message.data)
         if self._driver is None:
             self._driver = viewer
@@ -120,7 +116,7 @@ class RemoteControl:
         self._wished.set()
 
     async def _drive(self, viewer: Viewer) -> None:
-        """Send the wanted velocities to the daemon; a pause of MAX_SILENCE_S ends the motion."""
+        """Send the wanted velocities to the daemon until a pause of MAX_SILENCE_S."""
         try:
             with ExitStack() as stack:
                 # In a thread, because a busy daemon makes a client wait for seconds.
@@ -150,7 +146,7 @@ class RemoteControl:
             self._driver = None
 
     async def _has_wish(self, silence_s: float) -> bool:
-        """Wait at most `silence_s` [s] for a wanted velocity; return whether there is one."""
+        """Return whether a wanted velocity comes within `silence_s` [s]."""
         with suppress(TimeoutError):
             async with asyncio.timeout(silence_s):
                 await self._wished.wait()

@@ -1,4 +1,4 @@
-"""The WebSocket server of a view: its socket, its viewers, and the channels that it offers."""
+"""The WebSocket server of a view, with its socket, its viewers and its channels."""
 
 from __future__ import annotations
 
@@ -72,7 +72,6 @@ def listening_socket(host: str, port: int | None) -> socket.socket:
 
 
 def _no_host(host: str, reason: str) -> Refused:
-    """Return the error for a host on which the view cannot listen."""
     return Refused(
         f"the view cannot listen on {host!r} ({reason})",
         "give an address of this computer as --host, or leave it out for 127.0.0.1",
@@ -84,10 +83,10 @@ MAX_SUBSCRIPTIONS: Final = 10_000
 
 
 MAX_VIEWERS: Final = 128
-"""Limit on viewers; a further viewer is refused with the code TRY_LATER."""
+"""Limit on viewers, above which further ones are refused with the code TRY_LATER."""
 
 MAX_CONNECTIONS: Final = 2 * MAX_VIEWERS
-"""Limit on connections; further ones are closed at once."""
+"""Limit on connections, above which further ones are closed at once."""
 
 MAX_OFFERS: Final = 1_000
 """Limit on the channels that a viewer offers."""
@@ -141,7 +140,7 @@ class ViewServer:
 
         self.on_call: Callable[[Viewer, ServiceCall], None] | None = None
         self.on_offer: Callable[[Offer], None] | None = None
-        """Called with a channel that a viewer offers; may refuse it by raising WrongRequest."""
+        """Called with a channel that a viewer offers; raises WrongRequest to refuse the channel."""
 
         self.on_message: Callable[[Viewer, ClientMessage], None] | None = None
         """Called with a message of a viewer on a channel that it offers."""
@@ -200,7 +199,7 @@ class ViewServer:
         self._tell_all(unadvertise([channel_id]))
 
     def publish(self, channel_id: int, log_ns: int, data: bytes | memoryview) -> None:
-        """Queue a message for the viewers of a channel; the loop's next iteration sends it."""
+        """Queue a message for the viewers of a channel, to be sent in the loop's next iteration."""
         subscribers = self._subscribers.get(channel_id)
         if not subscribers:
             return
@@ -213,7 +212,7 @@ class ViewServer:
         self._unflushed.update(subscribers)
 
     def note(self, id: str, message: str) -> None:  # noqa: A002 - the field's name
-        """Show `message` to all present and later viewers; if it is "", remove the note `id`."""
+        """Show `message` to all present and later viewers, or remove the note `id` if it is ""."""
         if message and self._notes.get(id) != message:
             self._notes[id] = message
             self._tell_all(warning(message, id))
@@ -223,13 +222,13 @@ class ViewServer:
     # From the connections
 
     def connected(self, viewer: Viewer) -> None:
-        """Register a connection before its handshake; end it if there are over MAX_CONNECTIONS."""
+        """Register a connection before its handshake, or end it above MAX_CONNECTIONS."""
         self._connections.add(viewer)
         if len(self._connections) > MAX_CONNECTIONS:
             viewer.abort()
 
     def admit(self, viewer: Viewer) -> None:
-        """Send greeting, offers and notes to a new viewer; if there are MAX_VIEWERS, refuse it."""
+        """Send greeting, offers and notes to a new viewer, or refuse it above MAX_VIEWERS."""
         if len(self._viewers) >= MAX_VIEWERS:
             viewer.close(TRY_LATER, f"{MAX_VIEWERS} viewers are connected already")
             return
@@ -281,11 +280,7 @@ class ViewServer:
                 raise WrongRequest("this view is read-only, or does not take that")
 
     def _subscribe(self, viewer: Viewer, subscription: int, channel_id: int) -> None:
-        """Begin a subscription, unless the channel is not offered any more.
-
-        Raises:
-            WrongRequest: The id is in use, the viewer watches the channel already, or has too many.
-        """
+        """Begin a subscription to an offered channel, or raise WrongRequest."""
         if channel_id not in self._channels:
             return
         watching = self._subscribers.get(channel_id, {})

@@ -1,4 +1,4 @@
-"""Runs one view: offers the topics of a ROS domain through a `ViewServer`, until it must end."""
+"""Runs one view, which offers the topics of a ROS domain through a `ViewServer`."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def _address(host: str, port: int, token: str) -> dict[str, Any]:
 
 
 _NODE: Final = "_view"
-"""The node's name; ROS tools hide names that begin with an underscore."""
+"""The node's name, hidden from ROS tools by its underscore."""
 
 
 class LiveView:
@@ -162,7 +162,7 @@ class LiveView:
         self._server.withdraw(channel_id)
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Show viewers the note `problem` on a topic that is not offered; "" removes the note."""
+        """Show viewers the note `problem` on a topic, or remove the note if it is ""."""
         self._server.note(topic, problem)
 
     # From the server

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Final, Self
 
 _ORIGIN: Final = re.compile(r"[a-z][a-z0-9+.-]*://[^\sA-Z/?#@*]+|file://|null")
-"""What browsers send: a scheme and a host, in lower case, without a path."""
+"""The form of browsers' origins: a scheme and a host, in lower case, without a path."""
 
 
 def is_origin(text: str) -> bool:
@@ -22,25 +22,25 @@ class LiveTarget:
 
     robot: str
     daemon_pid: int
-    """The view ends with this process; 0 if the pid is not known."""
+    """The process whose end ends the view, 0 if unknown."""
     namespace: str
     domain_id: int
 
 
 @dataclass(frozen=True, slots=True)
 class ViewJob:
-    """What a live view shows, where it listens, and what its viewers may do."""
+    """The settings of a live view."""
 
     live: LiveTarget
     host: str = "127.0.0.1"
     port: int | None = None
-    """None means DEFAULT_PORT, or a free port if that is in use."""
+    """None means DEFAULT_PORT or, if that is in use, a free port."""
     origins: tuple[str, ...] = ()
     """Origins that may connect in addition to KNOWN_ORIGINS."""
     control: bool = False
     """Whether viewers may stop the robot."""
     lease: str = ""
-    """The token of the lease with which viewers may drive, "" if they may not."""
+    """The token of the lease for viewers to drive, "" if they may not."""
     outlives_stdin: bool = False
     """Whether the process goes on when its stdin is closed."""
 

@@ -1,4 +1,4 @@
-"""One connection: who may connect, its handshake, its requests, and its bounded send queue."""
+"""One connection of a viewer: admission, handshake, requests, and a bounded send queue."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Admission:
     """Checks the first request of a connection."""
 
     def __init__(self, token: str, origins: Iterable[str] = (), host: str = "localhost") -> None:
-        """Admit requests with this token from KNOWN_ORIGINS and `origins`, or without an Origin.
+        """Admit requests with this token, without an Origin or from KNOWN_ORIGINS and `origins`.
 
         `host` is one more name that a Host header may have.
         """
@@ -65,7 +65,7 @@ class Admission:
         self._origins = {*KNOWN_ORIGINS, *origins}
 
     def refusal(self, target: str, hosts: Sequence[str], origins: Sequence[str]) -> str:
-        """Return the reason for which a request is refused, or "" if it is admitted.
+        """Return the reason to refuse a request, or "".
 
         `target` is the path with the query. `hosts` and `origins` are the values of these headers.
         """
@@ -94,7 +94,7 @@ class Admission:
 
 
 LARGE_BYTES: Final = 1 << 16
-"""Larger messages have a separate queue, so that they never displace small ones."""
+"""Size above which messages have a separate queue, so that they never displace small ones."""
 
 MAX_MESSAGES: Final = 1024
 """Limit on the messages in each of the two queues."""
@@ -163,7 +163,7 @@ class Outbox:
         self._control_bytes += len(frame)
 
     def put_message(self, head: bytes, data: bytes) -> None:
-        """Add a message of a topic; drop the oldest messages above MAX_MESSAGES or MAX_BYTES."""
+        """Add a message of a topic, and drop the oldest ones above MAX_MESSAGES or MAX_BYTES."""
         (self._large if len(data) > LARGE_BYTES else self._messages).put(head, data)
 
     def take(self) -> bytes:
@@ -185,7 +185,7 @@ class Outbox:
 
 
 class _Lane:
-    """A bounded queue of messages; it drops the oldest ones."""
+    """A bounded queue of messages that drops the oldest ones."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -252,7 +252,7 @@ class ViewerHost(Protocol):
 
 
 class Viewer(asyncio.Protocol):
-    """A connection: answers its handshake, passes requests to the server, and sends its queue."""
+    """A connection, which passes requests to the server and sends its queue."""
 
     def __init__(self, host: ViewerHost, admission: Admission) -> None:
         self.outbox = Outbox()
@@ -260,7 +260,7 @@ class Viewer(asyncio.Protocol):
         """Subscription id -> channel id."""
 
         self.offers: set[int] = set()
-        """The ids that the viewer chose for the channels on which it publishes."""
+        """The viewer's ids of the channels on which it publishes."""
 
         self.told_dropped = 0
         """The number of dropped messages that was last sent to the viewer."""
@@ -285,7 +285,7 @@ class Viewer(asyncio.Protocol):
         """Whether the socket is full, and accepts no data now."""
 
         self._ends = False
-        """Whether to close the connection when everything that waits has been sent."""
+        """Whether to close the connection after the queue is sent."""
 
     # From the loop
 
@@ -320,7 +320,7 @@ class Viewer(asyncio.Protocol):
         self._take_events()
 
     def eof_received(self) -> None:
-        """Note the end of the stream; asyncio then closes the transport."""
+        """Note the end of the stream."""
         self._websocket.receive_eof()
         self._take_events()
 
@@ -337,7 +337,7 @@ class Viewer(asyncio.Protocol):
         self.flush()
 
     def flush(self) -> None:
-        """Send the queued frames, until the socket is full or the connection is closing."""
+        """Send queued frames until the socket is full."""
         transport = self._transport
         if transport is None:
             return
@@ -353,7 +353,7 @@ class Viewer(asyncio.Protocol):
             self._send_protocol_bytes()
 
     def abort(self) -> None:
-        """End the connection at once; queued frames are lost."""
+        """End the connection at once, without the queued frames."""
         if self._transport is not None:
             self._transport.abort()
 
