@@ -9,7 +9,7 @@ from typing import Final
 
 RELATIVE_SPAN: Final = 1e-9
 SMALLEST_SPAN: Final = 1e-300
-"""Minimum span of an axis, as a share of its largest value and absolute: the scale stays finite."""
+"""Minimum span of an axis, as a share of the largest value and absolute, for a finite scale."""
 
 MIN_SPAN_M: Final = 0.1
 """The smallest span of an axis on the ground, for a robot that did not move."""
@@ -58,7 +58,7 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The size of a picture, and the edges of its axes, in pixels from the left and the top."""
+    """The size of a picture and the edges of its axes [pixels]."""
 
     width: float
     height: float
@@ -70,7 +70,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line to draw: unbroken runs of points, the style `kind`, and a `name` for the legend."""
+    """Unbroken runs of points, with the style `kind` and a `name` for the legend."""
 
     runs: Sequence[Sequence[Point]]
     kind: str
@@ -79,7 +79,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """Lines and the spans of their axes; later lines are drawn over earlier lines.
+    """Lines and the spans of their axes, with later lines over earlier ones.
 
     Over time, x is in seconds. On the ground, x and y are in metres and have the same scale.
     """
@@ -109,7 +109,7 @@ def time_figure(
     least_span: float = 0.0,
     from_zero: bool = False,
 ) -> Figure:
-    """Return a figure over time; y spans at least `least_span`, and begins at 0 if `from_zero`."""
+    """Return a figure over time, with at least the span `least_span` of y."""
     drawn = tuple(line for line in lines if line.runs)
     values = [value for line in drawn for run in line.runs for _, value in run] or [0.0]
     low, high = 0.0 if from_zero else min(values), max(values)
@@ -130,8 +130,7 @@ def ground_figure(title: str, lines: Iterable[Line]) -> Figure:
 
 
 def path_figure(reference: Path2D, driven: Path2D, title: str = "") -> Figure:
-    """Return the figure of a driven path over the reference path, without points that are not
-    finite."""
+    """Return the figure of a driven path over the reference path, without infinite points."""
     lines = [
         Line([points] if points else [], kind, name)
         for points, kind, name in (
@@ -152,7 +151,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A text at the height `y` [pixels]. Its centre is at `x`, or, if `is_end`, its end."""
+    """A text at the height `y`, with its centre at `x` or, if `is_end`, its end."""
 
     text: str
     x: float
@@ -162,7 +161,7 @@ class Label:
 
 
 def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
-    """Yield grid, numbers and lines of a figure; yield nothing without lines."""
+    """Yield the grid, numbers and lines of a figure, nothing without lines."""
     if not figure.lines:
         return
     x, y = figure.axes(frame)

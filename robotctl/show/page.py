@@ -1,4 +1,4 @@
-"""The HTML page of one recording, with its tables; it works without network and script."""
+"""The HTML page of one recording, which works without network and script."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def moments_table(moments: Sequence[TracedMoment]) -> Markup:
 
 
 def modes_table(spans: Sequence[ModeSpan]) -> Markup:
-    """Return the table of the modes: from when, for how long, and why."""
+    """Return the table of the modes with begin, duration and reason."""
     rows = [
         (
             f"{span.begin_s:.2f} s",
@@ -155,7 +155,7 @@ def rate_picture(counts: Sequence[int]) -> Markup | None:
 
 
 def provenance_table(recorded: Recorded) -> Markup:
-    """Return a table with the origin of the recording: files, writer, profile, and metadata."""
+    """Return a table with the origin of the recording."""
     info = recorded.info
     told = info.metadata.get(INFO_RECORD, {})
     known = {
@@ -196,7 +196,7 @@ class Tone(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CommandVerdict:
-    """The verdict of `command`, such as `verify`, on a recording; `sentences` explain it."""
+    """The verdict of a command such as `verify` on a recording, with explaining sentences."""
 
     command: str
     verdict: str
@@ -225,7 +225,7 @@ _FOLDER: Final = Path(__file__).parent
 
 
 def report_page(recorded: Recorded, judged: ReportFindings) -> str:
-    """Return the HTML page of a recording; `judged` has the verdicts and explanations to show."""
+    """Return the HTML page of a recording, with the verdicts and explanations in `judged`."""
     name = recorded.info.path.resolve().name
     body = joined(
         _header(recorded, judged.judgements),

@@ -1,4 +1,4 @@
-"""The plots of a report page, and the data with which the page's script moves their cursor."""
+"""The plots of a report page, and the data for the script that moves their cursor."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class TimePlot:
     from_zero: bool = False
 
     def figure(self, duration_s: float) -> Figure:
-        """Return the plot as a figure; it has no lines if no series has a value."""
+        """Return the plot as a figure, without lines if no series has a value."""
         lines = (Line(list(each.lines()), kind, name) for each, name, kind in self.series)
         return time_figure(
             f"{self.title} [{self.unit}]",
@@ -98,7 +98,7 @@ def time_plots(traces: Traces) -> Iterator[Markup]:
 
 
 def path_plot(traces: Traces) -> Markup | None:
-    """Return the plot of the driven and wanted paths, with a legend; None without any path."""
+    """Return the plot of the driven and wanted paths with a legend, None without any path."""
     figure, places = _path_figure(traces), traces.driven.whole()
     if not figure.lines:
         return None
@@ -186,7 +186,7 @@ def _path_frame(figure: Figure) -> Frame:
 def _marks(
     places: Sequence[DrivenPlace], moments: Sequence[TracedMoment], x: Axis, y: Axis
 ) -> Iterator[Markup]:
-    """Yield marks on the path: for each moment, for the path's two ends, and for the cursor."""
+    """Yield marks on the path for the moments, the two ends and the cursor."""
     if not places:
         return
     for number, moment in enumerate(moments, 1):

@@ -64,7 +64,7 @@ def write_png(
 
 
 class _Pen:
-    """Draws one figure in coordinates of its frame; the title begins at `top`."""
+    """Draws one figure below `top`, in coordinates of its frame."""
 
     def __init__(self, draw: ImageDraw, scale: float, top: float) -> None:
         self._draw = draw

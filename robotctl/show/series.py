@@ -23,7 +23,7 @@ COLUMNS: Final = 600
 """Columns of a plot."""
 
 GAP: Final = 10.0
-"""A pause longer than this many times the median gap between columns breaks the line."""
+"""Length of a pause that breaks the line, in median gaps between columns."""
 
 MAX_VALUE: Final = 1e15
 """Larger values are left out."""
@@ -33,7 +33,7 @@ Sample = tuple[float, float]
 
 
 class SeriesColumn(NamedTuple):
-    """One column of a plot: least and largest value, and first and last value with their times."""
+    """One column of a plot, with least, largest, first and last value."""
 
     begin_s: float
     first: float
@@ -98,7 +98,7 @@ class Series:
 
 
 def _points(column: SeriesColumn) -> Sequence[Sample]:
-    """Return at most four points, which in a plot look like all values of the column."""
+    """Return at most four points, which look like all values of the column."""
     if column.begin_s == column.end_s:
         return [(column.begin_s, column.first)]
     middle_s = (column.begin_s + column.end_s) / 2.0
@@ -131,7 +131,7 @@ class DrivenPlace(NamedTuple):
 
 
 class ThinnedPath:
-    """The path of a robot as at most MAX_PLACES places; places too close together are skipped."""
+    """The path of a robot as at most MAX_PLACES places."""
 
     def __init__(self) -> None:
         self.places: list[DrivenPlace] = []
@@ -139,7 +139,7 @@ class ThinnedPath:
         self._last: DrivenPlace | None = None
 
     def add(self, t_s: float, x: float, y: float) -> None:
-        """Add a position [m] if it `is_on_earth` and far enough from the newest in `places`."""
+        """Add a position [m] that is possible and far enough from the last place."""
         if not is_on_earth(x, y):
             return
         self._last = DrivenPlace(t_s, x, y)
@@ -153,7 +153,7 @@ class ThinnedPath:
             self._spacing_m *= 2.0
 
     def whole(self) -> list[DrivenPlace]:
-        """Return the places, and the last position of the robot even if it was skipped."""
+        """Return the places and the last position of the robot."""
         ends = self._last is not None and self._last != self.places[-1]
         return [*self.places, self._last] if ends and self._last is not None else self.places
 
@@ -175,7 +175,7 @@ class FieldSeries:
     absent: int = 0
 
     def figure(self, duration_s: float) -> Figure:
-        """Return a figure of the field over time; it has no line if there are no values."""
+        """Return a figure of the field over time, without a line if there are no values."""
         return time_figure(self.path, [Line(list(self.series.lines()), "command")], duration_s)
 
 
@@ -202,7 +202,7 @@ def read_fields(
     on_missing: Callable[[str], None],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[FieldSeries]:
-    """Return the values of fields in all messages of a topic; time 0 is the recording's start.
+    """Return the values of fields in all messages of a topic, from time 0 at the recording's start.
 
     `on_missing` gets a sentence about each part that cannot be read.
     """

@@ -14,13 +14,13 @@ MAX_TEXT: Final = 240
 """The longest text of a recording that is shown, in characters."""
 
 MAX_ESCAPED: Final = 360
-"""The longest text on the page after escaping, which makes up to six characters of one."""
+"""The longest text on the page after escaping."""
 
 _WITHOUT_END: Final = frozenset({"meta", "input", "br"})
 
 
 class Markup(str):
-    """Text that is markup already; any other text is escaped when it is used."""
+    """Text that is markup already, and is not escaped when it is used."""
 
     __slots__ = ()
 
@@ -30,7 +30,7 @@ Content = str | float | None
 
 
 def tag(name: str, /, *content: Content, **attributes: Content) -> Markup:
-    """Return an element of HTML or SVG; content that is not markup is escaped.
+    """Return an element of HTML or SVG, with escaped content.
 
     Write `data_t` for the attribute `data-t`, and `class_` for `class`. None omits an attribute.
     """
@@ -45,7 +45,7 @@ def tag(name: str, /, *content: Content, **attributes: Content) -> Markup:
 
 
 def joined(*content: Content) -> Markup:
-    """Join the parts to one markup; parts that are not markup are escaped."""
+    """Join the parts to one markup, with text escaped."""
     return Markup("".join(map(_text, content)))
 
 
@@ -70,7 +70,7 @@ def shown(text: str) -> str:
 
 
 def plain(value: float) -> str:
-    """Return a coordinate for SVG: at most two decimals, never an exponent."""
+    """Return a coordinate for SVG, with at most two decimals and no exponent."""
     if not isfinite(value):
         return "0"
     text = f"{value:.2f}".rstrip("0").rstrip(".")
@@ -95,7 +95,7 @@ text.title{font-weight:600;font-size:13px;fill:#1c2430}.grid{stroke:#e8edf2;fill
 def drawing(
     figure: Figure, frame: Frame, *over: Content, class_: str = "", **attributes: Content
 ) -> Markup:
-    """Return a figure as an `<svg>` element; `over` is drawn on top of it."""
+    """Return a figure as an `<svg>` element, with `over` on top."""
     return tag(
         "svg",
         *map(element, laid_out(figure, frame)),

@@ -1,4 +1,4 @@
-"""Figures in a terminal, with the dots of braille characters: two across and four down in each."""
+"""Figures in a terminal, in braille characters of two by four dots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BITS: Final = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 _WANTED: Final = "wanted"
 _WANTED_EVERY: Final = 3
-"""One in three dots of a wanted path is set, so that it differs from the driven one."""
+"""One in this number of dots of a wanted path is set, as a difference from the driven one."""
 
 _DRIVEN_COLOUR, _WANTED_COLOUR, _VALUE_COLOUR = "\x1b[32m", "\x1b[34m", "\x1b[36m"
 _PLAIN: Final = "\x1b[0m"
@@ -35,7 +35,7 @@ class _Canvas:
         self._cells: dict[_Cell, int] = {}
 
     def line(self, points: Sequence[_Dot], every: int = 1) -> set[_Cell]:
-        """Set one in `every` dots on the lines between the points; return these dots' cells."""
+        """Set one in `every` dots on the lines between the points, and return their cells."""
         cells = set()
         for index, (x, y) in enumerate(_dots(points)):
             if index % every == 0:
@@ -46,7 +46,7 @@ class _Canvas:
         return cells
 
     def character(self, column: int, row: int, *, ascii_only: bool = False) -> str:
-        """Return the character of a cell, a space if no dot in it is set."""
+        """Return the character of a cell, a space if all dots are off."""
         bits = self._cells.get((column, row), 0)
         if not bits:
             return " "
@@ -90,7 +90,7 @@ def ground_lines(figure: Figure, *, rows: int = 18, colour: bool = False) -> lis
 def time_lines(
     figure: Figure, *, width: int, rows: int, colour: bool, ascii_only: bool
 ) -> Iterator[str]:
-    """Yield the figure in `rows` lines, then the time axis; an empty figure yields nothing."""
+    """Yield the figure in `rows` lines, then the time axis, nothing for an empty figure."""
     if not figure.lines:
         return
     across = max(width - LABEL - 1, 10)
@@ -113,7 +113,7 @@ def time_lines(
 
 
 def _label(value: float) -> str:
-    """Return a number with up to five significant digits, as many as fit at the axis."""
+    """Return a number with up to five significant digits, as many as fit."""
     texts = (f"{value:.{digits}g}" for digits in range(5, 0, -1))
     return next(text for text in texts if len(text) < LABEL)
 

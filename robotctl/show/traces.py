@@ -1,4 +1,4 @@
-"""Reads what a report draws of a recording, from its journal or, without one, its topics."""
+"""Reads the data of a report from a recording's journal or, without one, its topics."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ Point = tuple[float, float]
 
 @dataclass(slots=True)
 class ModeSpan:
-    """A time span in one mode; `reason` is the recorded reason for the change to this mode."""
+    """A time span in one mode; `reason` is that of the change to this mode."""
 
     begin_s: float
     end_s: float
@@ -111,7 +111,7 @@ class Rates:
 
 
 class Traces:
-    """The data of a recording that a report draws; times are in seconds from its first message."""
+    """The data that a report draws, with times in seconds from the first message."""
 
     def __init__(self, duration_s: float) -> None:
         self.duration_s = duration_s
@@ -149,7 +149,7 @@ class Traces:
             self.drives.append(drive)
 
     def want(self, outline: list[Point]) -> None:
-        """Add a wanted path; count it as left out if it is empty, too long or not `is_on_earth`."""
+        """Add a wanted path, or count an empty, too long or impossible one as left out."""
         has_room = sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS
         if outline and has_room and all(is_on_earth(x, y) for x, y in outline):
             self.wanted.append(outline)
@@ -248,11 +248,7 @@ class JournalTraces:
             self._traces.lateness.add(t_s, (event.t_ns - due_ns) * MS_PER_NS)
 
     def _follow(self, pose: Pose, t_s: float) -> None:
-        """Add the distance of this pose from the wanted path, and the path itself if it is new.
-
-        Raises:
-            UnreadableFile: The recorded kernel has an impossible state.
-        """
+        """Add the pose's distance from the wanted path, and a new path, or raise UnreadableFile."""
         state = None if self._kernel is None else self._kernel.state
         if state is None or state.drive is None or state.phase is not Phase.DRIVING:
             return
@@ -270,7 +266,7 @@ class JournalTraces:
             raise UnreadableFile(f"the wanted path cannot be drawn: {error}"[:200]) from None
 
     def _measured(self, ended: DriveEnded) -> DriveReport:
-        """Return a drive's report, without tracking errors if the kernel followed no path."""
+        """Return a drive's report, without tracking errors if there was no path to follow."""
         followed = self._outlined is not None and self._outlined[0] == ended.request_id
         known = followed or self._kernel is None
         return ended.report if known else ended.report.without_errors()
@@ -356,7 +352,7 @@ class Recorded:
     traces: Traces
     has_journal: bool
     drawn: tuple[str, ...]
-    """The topics that were drawn; empty if the recording has a journal."""
+    """The drawn topics, empty for a recording with a journal."""
     missing: tuple[str, ...]
     """A sentence for each part that could not be read."""
     is_live: bool
@@ -368,7 +364,7 @@ class Recorded:
 def read_recorded(
     path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Recorded:
-    """Read a recording: a file or a folder, written by robotctl or by another recorder.
+    """Read a recording of robotctl or of another recorder, a file or a folder.
 
     Raises:
         UnreadableFile: Nothing can be read.
@@ -470,7 +466,7 @@ def _distance(traces: Traces) -> float | None:
 
 
 def _cross_track(traces: Traces) -> tuple[float | None, float | None]:
-    """Return the RMS over all drives and the largest cross-track error [m], None if unknown."""
+    """Return the RMS over all drives and the largest cross-track error [m]."""
     reports = [
         report
         for report in (drive.report for drive in traces.drives)
