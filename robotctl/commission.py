@@ -1,4 +1,4 @@
-"""Commissioning: measure a base from three recorded motions, and propose limits and gains."""
+"""Measures a base from three recorded motions, and proposes limits and gains."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _EVENTS = (OdomReceived.__name__, DriveRequested.__name__)
 
 
 class TrialSample(NamedTuple):
-    """A sample of odometry: arrival (monotonic clock), pose, and age of the stamp on arrival."""
+    """A sample of odometry with its arrival (monotonic clock) and the stamp's age on arrival."""
 
     t_s: float
     pose: Pose
@@ -35,7 +35,7 @@ class TrialSample(NamedTuple):
 
 
 class TrialCommand(NamedTuple):
-    """A velocity command, with the time on the monotonic clock at which it was sent."""
+    """A velocity command with its time on the monotonic clock."""
 
     t_s: float
     linear_mps: float
@@ -135,10 +135,10 @@ def _refuse(missing: str) -> None:
 
 
 STEADY_S = 0.8
-"""The full speed is measured in this time [s] before the last command of the wanted speed."""
+"""The time before the last command of the wanted speed, in which the full speed is measured [s]."""
 
 STANDS_S = 0.4
-"""How long the base must stand at the end of a motion's odometry [s]."""
+"""The time that the base must stand at the end of a motion's odometry [s]."""
 
 MOVES_SHARE = 0.2
 """A base moves if its speed is at least this share of the commanded one."""
@@ -233,11 +233,7 @@ def measured(trial: Trial) -> Measured:
 
 
 def _turned(motion: Motion) -> Turned | None:
-    """Return the properties of a turn, None if the base did not turn.
-
-    Raises:
-        Refused: There are too few samples; the base did not stop, or turned the wrong way.
-    """
+    """Return the properties of a turn, None if the base did not turn; may raise Refused."""
     line = _line(motion)
     if line.speed <= -MOVES_SHARE * motion.wanted:
         raise Refused(
@@ -257,7 +253,7 @@ def _last_s(motion: Motion) -> float:
 
 
 def _delay_s(motion: Motion, line: _Line) -> float:
-    """Return how far [s] the motion lags behind its commands."""
+    """Return the lag of the motion behind its commands [s]."""
     return max(line.since_s - _commanded_since_s(motion), 0.0)
 
 
@@ -270,11 +266,7 @@ def _commanded_since_s(motion: Motion) -> float:
 
 
 def _moving_line(motion: Motion) -> _Line:
-    """Return the same line as `_line`, for a motion in which the base must move.
-
-    Raises:
-        Refused: The base did not move, or there are too few samples.
-    """
+    """Return the line of a motion in which the base must move; may raise Refused."""
     line = _line(motion)
     if not _moves(motion, line):
         raise Refused(
@@ -289,11 +281,7 @@ def _moves(motion: Motion, line: _Line) -> bool:
 
 
 def _line(motion: Motion) -> _Line:
-    """Return the line fitted to the distance over time in the last STEADY_S of driving.
-
-    Raises:
-        Refused: There are too few samples.
-    """
+    """Return the line fitted to the last STEADY_S of driving; may raise Refused."""
     last_s = _last_s(motion)
     steady = [(t_s, x) for t_s, x in motion.way() if last_s - STEADY_S <= t_s <= last_s]
     if len(steady) < MIN_SAMPLES:
@@ -312,11 +300,7 @@ def _rest(motion: Motion, from_s: float, until_s: float) -> tuple[float, bool]:
 
 
 def _stop(motion: Motion, line: _Line) -> tuple[float, float]:
-    """Return the distance [m; rad in a turn] and the time [s] from the zero command to standstill.
-
-    Raises:
-        Refused: The base did not stand at the end, or odometry ended before it stood.
-    """
+    """Return distance [m, rad] and time [s] from zero command to standstill, or raise Refused."""
     last_s, way = _last_s(motion), motion.way()
     zero_s = min((t_s for t_s, _ in motion.sent() if t_s > last_s), default=last_s)
     end_s = way[-1][0]
@@ -329,7 +313,7 @@ def _stop(motion: Motion, line: _Line) -> tuple[float, float]:
 
 
 def _timeout_s(motion: Motion, stopping_m: float) -> float | None:
-    """Return how long [s] the base drove on after the last command, None if it did not stop."""
+    """Return the time [s] that the base drove on without a command, None if it did not stop."""
     last_s, line = _last_s(motion), _moving_line(motion)
     end_s = last_s + motion.held.quiet_s
     rest_m, stands = _rest(motion, end_s - STANDS_S, end_s)
@@ -339,7 +323,7 @@ def _timeout_s(motion: Motion, stopping_m: float) -> float | None:
 
 
 STEERED_DELAY_S: Final = 0.2
-"""Up to this delay [s], the default gains are proposed; for a longer delay, smaller gains."""
+"""The longest delay [s] for which the default gains are proposed."""
 
 STOP_WITHIN_M: Final = 0.3
 """The distance within which the base stops from the proposed speed."""
@@ -495,7 +479,7 @@ SPEED_TOLERANCE = 0.1
 def file_lines(
     robot: str, base: Measured, settings: Mapping[str, object], proposed: list[Proposal]
 ) -> Iterator[str]:
-    """Yield the lines of a configuration file: measured values as comments, proposals, settings."""
+    """Yield the lines of a configuration file, with the measured values as comments."""
     yield f"# Proposed by robotctl commission for robot {robot}, from motions at"
     yield f"# {base.commanded_mps:g} m/s. Read it before you use it."
     yield "#"

@@ -42,7 +42,7 @@ class Level(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of a check. `text` describes it; `cure` is the advice, or "" if none is needed."""
+    """The result of a check; `cure` is the advice, or "" if none is needed."""
 
     check: str
     level: Level
@@ -65,12 +65,12 @@ def ok(check: str, text: str) -> Finding:
 
 
 def warning(check: str, text: str, cure: str) -> Finding:
-    """Return a warning of `check`; `text` says what may fail, `cure` says what to do."""
+    """Return a warning of `check`."""
     return Finding(check, Level.WARNING, text, cure)
 
 
 def fault(check: str, text: str, cure: str) -> Finding:
-    """Return a fault found by `check`; `text` says what is wrong, `cure` says what to do."""
+    """Return a fault found by `check`."""
     return Finding(check, Level.FAULT, text, cure)
 
 
@@ -81,7 +81,7 @@ FULL_BYTES: Final = 500_000_000
 """With less free space, the recorder does not start (its option `stop_free_bytes`)."""
 
 BUILT_S: Final = 1_735_689_600.0
-"""2025-01-01 [s since the epoch]: a clock that is before this was never set."""
+"""2025-01-01 [s since the epoch], which no set clock is before."""
 
 AHEAD_S: Final = 60.0
 """If a file is newer than the clock by more than this, the clock was set back."""
@@ -208,7 +208,7 @@ PINNED = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^; ]+)")
 """Matches a requirement `NAME==VERSION`; the groups are the name and the version."""
 
 WHEELS_FOR = "x86_64"
-"""The architecture for which there are ROS wheels; on others, ROS comes from a workspace."""
+"""The architecture of the ROS wheels."""
 
 
 def check_wheels(
@@ -266,7 +266,7 @@ def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Findin
 
 
 def check_two_rclpys(folders: Iterable[str]) -> Iterator[Finding]:
-    """Warn if rclpy is in more than one of `folders`, in which Python searches for modules."""
+    """Warn if rclpy is in more than one of `folders`."""
     found = {
         (Path(folder) / "rclpy").resolve()
         for folder in folders
@@ -293,10 +293,10 @@ def check_pip(prefix: Path, base_prefix: Path, standard_library: Path) -> Iterat
 SHARED_MEMORY: Final = Path("/dev/shm")
 
 SETTLED_S: Final = 10.0
-"""Files younger than this are kept: their process may not have locked them yet."""
+"""The age below which files are kept, as their process may not have locked them yet."""
 
 SCARCE_SHARED_BYTES: Final = 16 << 20
-"""Less free shared memory is a fault: a Fast DDS participant uses 0.6 MB, more for images."""
+"""Less free shared memory is a fault; a Fast DDS participant uses 0.6 MB, more for images."""
 
 # A Fast DDS process locks `NAME_el` while it uses the memory `NAME`. Linux releases the lock when
 # the process ends. Memory that another process maps is kept: that process may wait there.
@@ -331,7 +331,7 @@ def check_memory(folder: Path = SHARED_MEMORY) -> Iterator[Finding]:
 
 
 def stale(folder: Path = SHARED_MEMORY) -> list[Path]:
-    """Return the shared memory files of this user in `folder` whose process is certainly dead."""
+    """Return this user's shared memory files in `folder` that belong to dead processes."""
     try:
         names = [entry.name for entry in os.scandir(folder) if _LOCKED.fullmatch(entry.name)]
     except OSError:
@@ -399,7 +399,7 @@ LOCALHOST_ONLY: Final = "ROS_LOCALHOST_ONLY"
 """A variable of ROS Humble; its value 1 overrules the variable that RANGE names."""
 
 MAX_PROFILES_BYTES: Final = 1_000_000
-"""Limit on the size of a profiles file; no person writes a larger one."""
+"""Limit on the size of a profiles file."""
 
 RANGES: Final = ("", "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
 
@@ -431,7 +431,7 @@ def check_range(environment: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_profiles(environment: Mapping[str, str]) -> Iterator[Finding]:
-    """Warn if Fast DDS cannot read the profiles file, which then has no effect."""
+    """Warn if Fast DDS cannot read the profiles file."""
     given = environment.get(PROFILES)
     if given is None:
         return
@@ -444,11 +444,7 @@ def check_profiles(environment: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def _text_of(path: Path) -> str:
-    """Return the text of a regular file of a bounded size.
-
-    Raises:
-        OSError: It cannot be read, or is too large.
-    """
+    """Return the text of a regular file of a bounded size; raise OSError if it is unreadable."""
     with open_regular(path) as stream:
         data = stream.read(MAX_PROFILES_BYTES + 1)
     if len(data) > MAX_PROFILES_BYTES:
@@ -468,7 +464,7 @@ _UNMATCHED: Final = (
 MAX_NAMED: Final = 5
 
 MAX_ENDPOINTS: Final = 200
-"""Limit on the endpoints that are compared in pairs: a process may announce any number."""
+"""Limit on the endpoints that are compared in pairs."""
 
 
 def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]:
@@ -490,7 +486,7 @@ def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]
 
 
 def check_odometry(topic: GraphTopic) -> Iterator[Finding]:
-    """Check the odometry topic: its types, its QoS, and that it has at most one publisher."""
+    """Check the types and the QoS of the odometry topic, and that it has at most one publisher."""
     yield from _check_topic("odometry", topic, ODOMETRY_TYPES)
     if len(topic["publishers"]) > 1:
         yield fault(
@@ -501,7 +497,7 @@ def check_odometry(topic: GraphTopic) -> Iterator[Finding]:
 
 
 def check_definitions(topics: Sequence[NameAndTypes]) -> Iterator[Finding]:
-    """Report the topics whose message type is not installed here."""
+    """Report the topics with a message type that is not installed here."""
     from robotctl.messages.installed import NOT_INSTALLED, installed_type
 
     types = {kind: each["name"] for each in topics for kind in each["types"]}

@@ -13,7 +13,7 @@ from robotctl.kernel.trigonometry import direction, exp
 from robotctl.kernel.types import ZERO, Twist
 
 JUMP_M = 1.0
-"""How far the reported pose jumps along x in an ODOM_JUMP; at the end, it jumps back."""
+"""The jump of the reported pose along x in an ODOM_JUMP; at its end, it jumps back."""
 
 BROWNOUT_LEVEL = 0.1
 """The highest battery level that is reported during a BROWNOUT."""
@@ -37,7 +37,7 @@ class SimFault(Enum):
 
 
 class Faults:
-    """The active simulated faults, with the time for which each one still lasts."""
+    """The active simulated faults, with their remaining times."""
 
     def __init__(self) -> None:
         self._left_s: dict[SimFault, float] = {}
@@ -51,7 +51,7 @@ class Faults:
         self._left_s[fault] = for_s
 
     def advance(self, dt_s: float) -> None:
-        """Reduce the time left of each fault by `dt_s`; end the faults whose time is over."""
+        """Reduce the time left of each fault by `dt_s`, and end the faults at 0."""
         self._left_s = {
             fault: left_s - dt_s for fault, left_s in self._left_s.items() if left_s > dt_s
         }
@@ -71,9 +71,8 @@ class Faults:
 class SimParams:
     """The imperfections of the simulated robot.
 
-    Actuation errors change its motion; odometry errors change only the reported motion. At each
-    step, a random number multiplies each factor: mean 1, standard deviation `actuation_noise` or
-    `odometry_noise`.
+    Odometry errors change only the reported motion. At each step, a random number of mean 1 and
+    deviation `actuation_noise` or `odometry_noise` multiplies each factor.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)
@@ -107,10 +106,10 @@ class SimParams:
 
 
 class Robot:
-    """The simulated robot.
+    """The simulated robot; it begins at the origin.
 
-    `truth` is its true pose, `odometry` its reported pose, `measured` its reported velocity. Both
-    poses begin at the origin. `battery` is its battery level from 0 to 1.
+    `truth` is its true pose, `odometry` its reported pose, `measured` its reported velocity.
+    `battery` is from 0 to 1.
     """
 
     def __init__(self, params: SimParams) -> None:

@@ -1,1 +1,1 @@
-"""What all packages may use: errors, paths, files and trust, text, processes, domains, stores."""
+"""Errors, paths, files and trust, text, processes, domains and stores, for all packages."""

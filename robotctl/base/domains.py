@@ -78,7 +78,7 @@ def is_certainly_empty(domain_id: int) -> bool:
 
 
 def participants_here(domain_id: int) -> int | None:
-    """Return how many participants the domain has on this machine, or None if this is unknown."""
+    """Return the number of the domain's participants on this machine, None if it is unknown."""
     ports = _bound_udp_ports()
     if ports is None:
         return None

@@ -18,7 +18,7 @@ RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 _NOTE = "_ROBOTCTL_ENVIRONMENT_NOTE"
 _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-"""The variable whose absence makes the ROS wheels extend LD_LIBRARY_PATH when Python starts."""
+"""The variable that keeps the ROS wheels from extending LD_LIBRARY_PATH when Python starts."""
 
 _PREFIXES, _PACKAGES, _LIBRARIES = "AMENT_PREFIX_PATH", "PYTHONPATH", "LD_LIBRARY_PATH"
 
@@ -101,7 +101,7 @@ def limit_discovery() -> None:
 
 
 def _has_own_rclpy() -> bool:
-    """Return whether our environment has an rclpy; a build in a ROS workspace has none."""
+    """Return whether our environment has an rclpy, unlike a build in a ROS workspace."""
     return any(
         (Path(sysconfig.get_path(name)) / "rclpy" / "__init__.py").exists()
         for name in ("purelib", "platlib")

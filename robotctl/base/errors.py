@@ -89,7 +89,7 @@ class NoDaemon(RobotctlError):
 
 
 class Refused(RobotctlError):
-    """A request was refused because of a condition; the text names the condition and the cure."""
+    """A condition does not hold; nothing was changed."""
 
     exit_code = 4
     kind = "refused"
@@ -103,7 +103,7 @@ class NotSealed(RobotctlError):
 
 
 class AlreadyRunning(RobotctlError):
-    """A start was refused: another process has the robot's lock or socket."""
+    """Another process has the robot's lock or socket."""
 
     exit_code = 5
     kind = "already_running"

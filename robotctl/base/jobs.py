@@ -29,7 +29,7 @@ from robotctl.base.errors import RobotctlError
 from robotctl.base.processes import Child, program, report_fd, send_report, start
 
 _END_S: Final = 1.0
-"""How long a process may take to end after its last report."""
+"""The time for a process to end after its last report."""
 
 
 class JobFailed(Exception):
@@ -39,7 +39,7 @@ class JobFailed(Exception):
 def job_command(work: str, job: object) -> tuple[str, ...]:
     """Return the command that calls `work`, a `module:function`, with `job` in a new process.
 
-    `job` is a JSON object or a data class. A path in it becomes a string, even if not UTF-8.
+    `job` is a JSON object or a data class; paths in it become strings.
     """
     text = json.dumps(msgspec.to_builtins(job, enc_hook=str))
     return (*program("robotctl.base.jobs"), work, text)
@@ -56,7 +56,7 @@ async def run_job(command: Sequence[str]) -> list[dict[str, Any]]:
 
 
 async def job_reports(command: Sequence[str]) -> AsyncGenerator[dict[str, Any]]:
-    """Run the command of a job, and yield its reports; kill the process when cancelled or closed.
+    """Run the command of a job, and yield its reports; a cancellation kills the process.
 
     Raises:
         JobFailed: The process could not be started, reported an error, or failed otherwise.

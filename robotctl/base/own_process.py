@@ -1,4 +1,4 @@
-"""This process: its standard streams, its limit of open files, and the signals that end it."""
+"""The standard streams, open files and end signals of this process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def open_standard_streams() -> None:
 
 
 LEAST_OPEN_FILES: Final = 128
-"""A daemon refuses to start with a lower limit: without a free descriptor it accepts no client."""
+"""The smallest limit of open files with which a daemon starts."""
 
 ENOUGH_OPEN_FILES: Final = 256
 MORE_OPEN_FILES: Final = "raise the limit with ulimit -n 1024, or LimitNOFILE in a unit"

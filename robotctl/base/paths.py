@@ -48,12 +48,12 @@ def check_robot_name(name: str) -> str:
 
 
 def namespace_of(robot: str) -> str:
-    """Return the robot's ROS namespace: `/NAME`, or "" for the default robot."""
+    """Return the robot's ROS namespace `/NAME`, or "" for the default robot."""
     return "" if robot == DEFAULT_ROBOT else f"/{robot}"
 
 
 def check_namespace(text: str) -> str:
-    """Return the ROS namespace `text` as robotctl writes it: `/NAME` or `/A/B`, or "" for none.
+    """Return the ROS namespace `text` in the form `/NAME` or `/A/B`, or "" for none.
 
     Raises:
         UsageError: ROS does not allow `text`.

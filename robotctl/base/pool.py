@@ -26,7 +26,7 @@ Processes = Callable[[int], AbstractContextManager[Executor]]
 """Starts an executor; the argument is the number of jobs."""
 
 Done = Callable[[int, int], None]
-"""A callback for progress: the number of jobs that are done, and of all jobs."""
+"""A callback for progress, with the number of finished jobs and of all jobs."""
 
 
 THREADS: Final = 16

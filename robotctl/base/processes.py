@@ -82,7 +82,7 @@ def readable_within(descriptor: int, seconds: float) -> bool:
 REPORT_OPTION: Final = "--report-fd"
 
 Report = Callable[[dict[str, Any]], None]
-"""Sends a report of a job; raises BrokenPipeError if the process that started the job has ended."""
+"""Sends a report of a job; raises BrokenPipeError if nobody reads it."""
 
 
 class LineSplitter:
@@ -138,7 +138,7 @@ _REAP_POLL_S: Final = 0.01
 class Child:
     """A process that `start` has started.
 
-    Use it from one thread. Only `kill` may be called from another thread, but not during `close`.
+    Use it from one thread. Another thread may call `kill`, except during `close`.
     """
 
     def __init__(self, pid: int, reports: int, stdin: int | None) -> None:
@@ -188,7 +188,7 @@ class Child:
         return [decoded(line) for line in self._lines.feed(piece)]
 
     def receive_one(self, seconds: float) -> dict[str, Any]:
-        """Return the next report; discard the reports that arrive together with this first one.
+        """Return the first report that arrives, without others that arrive together with it.
 
         Raises:
             TimeoutError: No report arrived within `seconds`.
@@ -206,7 +206,7 @@ class Child:
             os.kill(self.pid, number)
 
     def wait(self, seconds: float) -> int | None:
-        """Wait up to `seconds`; return the exit code, -N after signal N, None if still running."""
+        """Return the exit code, -N after signal N, or None if the child runs after `seconds`."""
         until = time.monotonic() + seconds
         while self._exit_code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -224,7 +224,7 @@ class Child:
         os.close(self._reports)
 
     def close(self, patience_s: float = 0.0) -> int:
-        """Close the pipes; kill the child if it lives after `patience_s`; return its exit code."""
+        """Close the pipes, kill a child that lives after `patience_s`, and return its exit code."""
         self.detach()
         exit_code = self.wait(patience_s)
         while exit_code is None:
@@ -294,7 +294,7 @@ def start(
 
 
 def _stop_inheritance() -> None:
-    """Mark inherited descriptors as close-on-exec: the child could keep a lock or pipe open."""
+    """Mark inherited descriptors as close-on-exec."""
     with suppress(OSError):  # no /proc
         for descriptor in map(int, os.listdir("/proc/self/fd")):
             if descriptor > 2:

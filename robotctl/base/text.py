@@ -19,7 +19,7 @@ def printable(text: object) -> str:
 
 
 def short_name(name: str) -> str:
-    """Return a name for a message: escaped, and cut to MAX_NAME characters."""
+    """Return a name for a message, escaped and cut to MAX_NAME characters."""
     shown = printable(name[: MAX_NAME + 1])
     return shown if len(shown) <= MAX_NAME else f"{shown[: MAX_NAME - 3]}..."
 

@@ -31,7 +31,7 @@ OVERFLOW_UID: Final = 65534
 class FolderChain:
     """The folders from `base` down to `folder`; the environment variable `variable` sets `base`.
 
-    Folders above `base` are not checked: they belong to the system, or the user chose them.
+    The folders above `base` are not checked.
     """
 
     def __init__(
@@ -105,10 +105,7 @@ class FolderChain:
             self.folder.chmod(PRIVATE_MODE)
 
     def group_writable(self) -> list[str]:
-        """Return a warning for each folder that members of a group can change.
-
-        The private group of a user, whose gid equals the uid, is ignored.
-        """
+        """Return a warning for each folder that a group other than the user's own can change."""
         return [
             f"{path} can be written by group {found.st_gid}, whose members could replace this "
             f"daemon's files (to prevent it: chmod g-w {path})"

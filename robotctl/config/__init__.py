@@ -1,7 +1,7 @@
 """The daemon's configuration: one frozen `Config`, validated when it is read.
 
-- `settings`: all settings with their defaults; read and change a `Config` by dotted keys or a file.
-- `ros_settings`: change a `Config` by ROS parameter files and `--ros-args`.
+- `settings`: all settings, by dotted keys or from a file.
+- `ros_settings`: settings from ROS parameter files and `--ros-args`.
 """
 
 from robotctl.config.settings import (

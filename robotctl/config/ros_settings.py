@@ -88,7 +88,7 @@ def _sections(content: Mapping[Any, Any], path: Path, node: str) -> Iterator[Nod
 
 
 def is_for(pattern: str, node: str) -> bool:
-    """Return whether `pattern`, a pattern or name in a file, matches the full node name `node`.
+    """Return whether `pattern` matches the full node name `node`.
 
     `*` stands for one part of a name, `**` for any number of parts. A name without a slash and
     without `*` matches the node of this name in every namespace.
@@ -139,7 +139,7 @@ def apply_arguments(
 ) -> RosSettings:
     """Return the configuration changed by the arguments, for nodes in `namespace`.
 
-    If a key is retired, `warn` is called with a sentence, and the key is ignored.
+    A retired key is ignored after `warn` was called with a sentence.
 
     Raises:
         ConfigError: A key, a value or a file is wrong, or is meant for another node.
@@ -160,7 +160,7 @@ def apply_arguments(
 
 
 def _given_values(given: RosArguments, namespace: str) -> dict[str, object]:
-    """Return the parameters from the arguments and their files; of two values, the later wins."""
+    """Return the parameters from the arguments and their files, the later of two values."""
     for node in given.node_names:
         _check_node(node, f"{node}:__node" if node else "__node")
     names = {node: f"{namespace}/{given.node_names.get(node, node)}" for node in NODES}

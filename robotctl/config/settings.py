@@ -121,7 +121,7 @@ class Config:
     on_recorder_failure: str = setting(
         "stop", "what a failed recorder does", choices=("stop", "warn")
     )
-    """Whether the robot must stop when recording fails, or only a warning is given."""
+    """The effect of a failed recording on the robot, a stop or only a warning."""
     on_topic_trouble: str = setting(
         "warn",
         "what a topic that is silent, slow or fast does to the start of a motion",
@@ -137,7 +137,7 @@ _PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
 MAX_RATE_HZ = 1e5
 RATES_HELP = 'use topics, globs or types with rates, such as {"/camera/*": 5}'
 MAX_GROUP_NAME = 256
-"""Limit on the length of a group's name; no name in group(5) or a directory service is longer."""
+"""Limit on the length of a group's name."""
 
 PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
@@ -166,7 +166,7 @@ def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any
     """Return `value` as the type `kind` of `key`; `metadata` is that of the dataclass field.
 
     Raises:
-        ConfigError: The value is not allowed; the error says which values are.
+        ConfigError: The value is not allowed.
     """
     if kind == tuple[str, ...]:
         return (_checked_rates if metadata.get("rates") else _checked_patterns)(key, value)
@@ -241,7 +241,7 @@ def not_allowed(key: str, value: object, allowed: str) -> ConfigError:
 
 
 log_warning: Callable[[str], object] = logging.getLogger(__name__).warning
-"""The default for `warn` parameters: the warning only goes to the log."""
+"""The default for `warn` parameters, which only writes to the log."""
 
 
 def check_together(kernel: KernelParams) -> None:
@@ -256,7 +256,7 @@ def check_together(kernel: KernelParams) -> None:
 
 
 def warn_of_retired(key: str, warn: Callable[[str], object], where: str = "") -> bool:
-    """Return whether `key` is retired. If so, call `warn` with a sentence; `where` is its start."""
+    """Return whether `key` is retired; if so, call `warn` with a sentence after `where`."""
     instead = retired.CONFIG_KEYS.get(key)
     if instead is not None:
         warn(f"{where}{key} is retired and ignored: {instead}")
@@ -314,7 +314,7 @@ def flat(config: Config) -> dict[str, object]:
 
 
 def as_in_file(value: Any) -> object:
-    """Return a setting's value as a configuration file has it: no enum member, no tuple."""
+    """Return a setting's value without enum members and tuples, as in a configuration file."""
     if isinstance(value, Enum):
         return value.value
     return list(value) if isinstance(value, tuple) else value
@@ -408,7 +408,7 @@ _IN_WORDS: Final = {
 
 
 def _allowed(value: object, metadata: Mapping[str, Any]) -> str:
-    """Return in words which values are allowed."""
+    """Return the allowed values in words."""
     limits = metadata.get("range")
     if limits is not None:
         return f"{limits.low:g} to {limits.high:g} {limits.unit}".rstrip()
@@ -429,7 +429,7 @@ MAX_FILE_BYTES = 1_000_000
 
 
 def load(path: Path, warn: Callable[[str], object] = log_warning) -> Config:
-    """Return the configuration in the file `path`; skip retired keys, and call `warn` for each.
+    """Return the configuration in the file `path`; call `warn` for each retired key, and skip it.
 
     Raises:
         ConfigError: The file cannot be read, or a key or value is not allowed.

@@ -84,7 +84,7 @@ def collect(entries: Sequence[Entry], since_ns: int = 0) -> Evidence:
 
 
 def _place(found: Evidence, entry: Entry) -> list[dict[str, Any]] | None:
-    """Return the list of `found` to which an entry belongs, None if it belongs to no list."""
+    """Return the list of `found` for an entry, None if there is none."""
     if entry.kind == DecisionKind.MODE and entry.values.get("to") in STANDING:
         return found.stops
     if entry.kind == DecisionKind.MODE and entry.values.get("from") in STANDING:

@@ -25,10 +25,10 @@ from robotctl.base.paths import make_private, robot_state_folder
 from robotctl.kernel.constants import DAY_S
 
 MAX_LINE_BYTES: Final = 32_768
-"""Limit on the length of an entry; readers reject a longer line."""
+"""Limit on the length of an entry."""
 
 MAX_TEXT: Final = 500
-"""Limit on the characters of a text in an entry, such as a reason; longer texts are cut."""
+"""Limit on the characters of a text in an entry; longer texts are cut."""
 
 FILE_BYTES: Final = 1_000_000
 """The size of a file at which the next file is begun."""
@@ -104,7 +104,7 @@ ABOUT_SEALS: Final = (DecisionKind.OPENED, DecisionKind.CLOSED, DecisionKind.ROT
 class Entry:
     """An entry; `time_ns` is since the epoch, and `values` can be encoded as JSON.
 
-    `kind` is a `DecisionKind`, or a kind that a later version of robotctl wrote.
+    `kind` is a `DecisionKind`, or a kind of a later version.
     """
 
     time_ns: int
@@ -220,7 +220,7 @@ def last_file(folder: Path) -> Path:
 def append(path: Path, entries: Iterable[Entry]) -> None:
     """Append `entries` to a file (mode 0600) in one write, and wait until they are on the disk.
 
-    If a kill or a power cut has torn the last line, the entries begin on a new line.
+    They begin on a new line, even after a torn one.
 
     Raises:
         OSError: The disk is full or fails, or `path` is not a regular file of this user.
@@ -311,7 +311,7 @@ class LogContent:
     notes: list[str] = field(default_factory=list)
     """Sentences about harmless findings: torn lines, and files that robotctl removed."""
     heads: set[str] = field(default_factory=set)
-    """Digests that recordings may store: of a file up to a line, or (early versions) of a line."""
+    """Digests that recordings may store, of a file up to a line (early versions: of a line)."""
 
     @property
     def begins_later(self) -> bool:

@@ -1,4 +1,4 @@
-"""The writer of the journal of decisions: a thread that writes at most 50 MB a year."""
+"""The writer of the journal of decisions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ RESERVED: Final[dict[str, float]] = {
 """The share of DAY_BYTES that entries of a kind must leave free, above all for stops."""
 
 MAX_WAITING: Final = 1000
-"""Limit on entries that wait while the disk hangs or is full; further ones are only counted."""
+"""Limit on entries that wait for the disk; further ones are only counted."""
 
 RETRY_S: Final = 5.0
 """Pause before a failed write is tried again."""
@@ -89,7 +89,7 @@ class DecisionLog:
         self._thread = threading.Thread(target=self._run, name="decisions", daemon=True)
         self._ending = threading.Event()
         self._unqueued = 0
-        """How many entries did not fit into the queue; changed by the threads that call `add`."""
+        """The number of entries that did not fit into the queue, set by callers of `add`."""
         self._file: Path | None = None
         """The file of the last entry."""
         self._left = 0.0
@@ -100,7 +100,7 @@ class DecisionLog:
         self._counts_due_s = 0.0
 
     def add(self, kind: DecisionKind, **values: Any) -> None:
-        """Queue an entry with the present time; see `add_values`."""
+        """Queue an entry as `add_values` does."""
         self.add_values(kind, values)
 
     def add_values(self, kind: DecisionKind, values: Mapping[str, Any]) -> None:
@@ -206,7 +206,7 @@ class DecisionLog:
             self._file = path
 
     def _used(self) -> int:
-        """Return how many bytes that count towards the budget were written in the last 24 h."""
+        """Return the bytes of the budget that were written in the last 24 h."""
         now_s = self._now_ns() / NS_PER_S
         return sum(
             len(entry.line())

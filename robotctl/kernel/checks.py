@@ -121,7 +121,7 @@ def odometry_contradicted(health: Health, params: KernelParams, t_ns: int) -> st
 
 
 def second_odometry(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return a sentence if a second publisher, which is not followed, sends odometry, else ""."""
+    """Return a sentence if a second publisher sends odometry, else ""."""
     second = health.odometry_sources.second
     if second is None or _age_s(second.t_ns, t_ns) > params.odometry.timeout_s:
         return ""

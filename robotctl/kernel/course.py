@@ -35,8 +35,8 @@ class Frame(Enum):
 class Held:
     """A velocity for `for_s` seconds, then no command for `quiet_s` seconds.
 
-    The client of a hold-to-run velocity must repeat it within `for_s`. `heard_t_ns` is the steady
-    time of its last request, None for other velocities.
+    `heard_t_ns` is the steady time of a hold-to-run client's last request, None for other
+    velocities. The client must repeat its request within `for_s`.
     """
 
     linear_mps: float
@@ -72,10 +72,7 @@ class Held:
         return self.is_held_to_run and not (self.linear_mps or self.angular_rps)
 
     def is_silent(self, t_ns: int, period_s: float) -> bool:
-        """Return whether the hold-to-run client's silence exceeds `for_s` at the next tick.
-
-        `period_s` is the period of the ticks; at most half of `for_s` counts.
-        """
+        """Return whether the hold-to-run client's silence exceeds `for_s` at the next tick."""
         if self.heard_t_ns is None:
             return False
         ahead_s = min(period_s, 0.5 * self.for_s)

@@ -30,9 +30,9 @@ ARRIVED = 1e-9
 class Progress:
     """The place and the motion of the reference on its path.
 
-    It is `length` into the segment with index `segment`, after `laps` complete laps. Lengths are in
-    m, in a turn in rad, with a held velocity in s. Speeds are per second.
+    Lengths are in m, in a turn in rad, with a held velocity in s. Speeds are per second.
 
+    - `laps`, `segment`, `length`: complete laps, index of the segment, length in it.
     - `speed`, `accel`: the speed and the acceleration of the reference.
     - `ahead`, `lead_speed`: the distance of the lead from the reference; the speed of the lead.
     - `rates`: the speeds of the lead in the last ticks.
@@ -150,10 +150,9 @@ class Score:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive of `laps` laps, 0 for no end.
+    """A drive of `laps` laps (0: no end) that began at `begin_t_ns` (steady).
 
-    Its path begins at `origin` in the odom frame. In reverse, `origin` has the heading of the
-    robot's rear. `begin_t_ns` is steady.
+    Its path begins at `origin` in the odom frame, with the heading of the robot's rear in reverse.
     """
 
     request_id: int
@@ -341,12 +340,12 @@ class Drive:
         return Progress(at.laps + 1, closure_m=at.closure_m)
 
     def _next_lap(self, at: Progress, pose: Pose) -> Drive:
-        """Return the drive on its next lap; an open path starts again where the last lap ended."""
+        """Return the drive on its next lap."""
         end = self.origin if self.path.closed else self.origin.compose(self.path.end)
         drive = self._at(replace(at, closure_m=end.distance(pose)))
         return drive if self.path.closed or drive.finished else replace(drive, origin=end)
 
 
 def origin_of(pose: Pose, course: Course) -> Pose:
-    """Return the origin of a drive that begins at `pose`; in reverse it is `pose` turned by pi."""
+    """Return the origin of a drive from `pose`, turned by pi in reverse."""
     return pose.compose(_TURNED) if course.reverse else pose

@@ -59,7 +59,7 @@ def is_inside(x: float, y: float, corners: tuple[Corner, ...]) -> bool:
 
 
 def left_by(params: FenceParams, origin: Pose, pose: Pose) -> str:
-    """Return a sentence if `pose` is outside the fence, which is placed at `origin`, else ""."""
+    """Return a sentence if `pose` is outside the fence at `origin`, else ""."""
     distance_m = origin.distance(pose)
     if params.radius_m and not distance_m <= params.radius_m:
         return f"the robot is {distance_m:.2f} m from its start, more than {params.radius_m:g} m"

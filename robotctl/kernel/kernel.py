@@ -70,10 +70,10 @@ from robotctl.kernel.types import (
 )
 
 SILENT_AFTER_NS = NS_PER_S
-"""How long zeros are sent in IDLE before nothing is sent, with `command.when_idle: silent`."""
+"""The time for which zeros are sent in IDLE, with `command.when_idle: silent`."""
 
 MAX_WAITING = 64
-"""The largest number of requests that wait for the end of a ramp; further ones are refused."""
+"""The largest number of requests that wait for the end of a ramp."""
 
 STOPPING_REFUSAL = "the robot is stopping: ask again when it is IDLE"
 
@@ -234,7 +234,7 @@ class Kernel:
         return min(max(self._tick_gap_s(t_ns), 0.0), 2.0 / self.params.rate_hz)
 
     def _rise_ticks(self) -> int:
-        """Return the number of ticks over which an acceleration builds up."""
+        """Return the number of ticks in which an acceleration builds up."""
         return round(self.params.limits.accel_rise_s * self.params.rate_hz) or 1
 
     def _is_silent(self, t_ns: int) -> bool:
@@ -292,7 +292,7 @@ class Kernel:
             self._effects.append(PublishTwist(command))
 
     def _hold(self, event: HoldReceived) -> None:
-        """Set the velocity that a hold-to-run client wants; for zero, start the ramp at once."""
+        """Set the velocity of a hold-to-run client; for zero, start the ramp at once."""
         drive, lease = self.state.drive, self.state.lease
         if drive is None or drive.request_id != event.hold:
             return
@@ -629,7 +629,7 @@ class Kernel:
 
 
 def _told(what: str, event: ModeRequested | ResetRequested | DriveRequested) -> str:
-    """Return a text that says who requested `what`, and why."""
+    """Return a text with the request `what`, its sender and reason."""
     by = f"{what} by {event.source}"
     return f"{by}: {event.reason}" if event.reason else by
 

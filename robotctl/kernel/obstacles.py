@@ -39,7 +39,7 @@ def look_again(scan: Scan, command: Twist, params: KernelParams) -> Scan:
 
 
 def _reach_m(speed_mps: float, params: KernelParams) -> float:
-    """Return the distance ahead that must be free [m]: stop distance plus braking distance."""
+    """Return the free distance [m] for the stop distance and the braking distance."""
     braking_m = speed_mps * speed_mps / (2.0 * params.limits.linear_accel_mps2)
     return params.scan.stop_distance_m + braking_m
 
@@ -84,7 +84,7 @@ def _side_m(command: Twist, params: ScanParams, reach_m: float) -> float:
 def _points(
     sectors: tuple[float, ...], params: ScanParams, far_m: float
 ) -> list[tuple[float, float]]:
-    """Return where obstacles can be [m]: the edges and the middle of each sector within `far_m`."""
+    """Return the possible obstacles [m], the edges and the middle of each sector within `far_m`."""
     x, y = params.x_m, params.y_m
     return [
         (x + range_m * ahead, y + range_m * left)

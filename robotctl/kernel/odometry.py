@@ -17,7 +17,7 @@ MAX_NAMED_SOURCES = 16
 
 
 def with_odometry(state: State, event: OdomReceived, params: OdometryParams) -> State:
-    """Return the state after a sample; a sample that is not used is counted as dropped."""
+    """Return the state after a sample; an unused sample counts as dropped."""
     odometry, health, moving = event.odometry, state.health, state.mode is Mode.MOVING
     sources = health.odometry_sources
     if event.source != sources.followed:

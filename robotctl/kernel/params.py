@@ -44,7 +44,7 @@ class TrackingParams:
 
 
 class Stamping(Enum):
-    """Whether commands are TwistStamped; AUTO uses the type to which the base subscribes."""
+    """The type of commands; AUTO uses the type to which the base subscribes."""
 
     AUTO = "auto"
     TRUE = "true"
@@ -108,7 +108,7 @@ class CommandParams:
 
 @dataclass(frozen=True, slots=True)
 class OdometryParams:
-    """The topic of the odometry, and the limits beyond which odometry is lost or wrong."""
+    """The topic of the odometry, and the limits of its age and jumps."""
 
     topic: str = topic("odom", "topic of the odometry")
     timeout_s: float = bounded(0.5, 0.05, 10.0, "s", "age at which odometry counts as lost")

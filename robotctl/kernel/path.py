@@ -1,4 +1,4 @@
-"""The segments of a path, in the frame of the pose where the drive begins."""
+"""The segments of a path, in the frame of the drive's first pose."""
 
 from __future__ import annotations
 
@@ -244,8 +244,7 @@ OUTLINE_PIECES = 180
 class Path:
     """The consecutive segments of one lap; a held velocity has none.
 
-    A robot further than `reach_m` from its reference has lost the path. A `closed` path ends at the
-    pose where it begins.
+    A robot further than `reach_m` from its reference has lost the path.
     """
 
     segments: tuple[Segment, ...]

@@ -95,7 +95,7 @@ def _leg(begin: Point, end: Point) -> Line:
 
 
 def _room_m(before: Line, after: Line, bend: float, corner_m: float) -> float:
-    """Return how far from the corner its arc begins and ends [m], 0 if there is no arc."""
+    """Return the distance [m] between a corner and the ends of its arc, 0 if there is no arc."""
     if abs(bend) <= STRAIGHT_RAD:
         return 0.0
     room_m = min(corner_m, 0.5 * before.length, 0.5 * after.length)
@@ -206,8 +206,7 @@ def _open(segment: Segment, reach_m: float) -> Path:
 class Shape:
     """The properties of a kind of pattern; `lap` returns the path of one lap.
 
-    A pattern that is not `closed` is driven for one lap by default. `has_corner` and `has_angle`
-    say whether `corner_m` and `angle_rad` of a `Course` apply.
+    `has_corner` and `has_angle` are for `corner_m` and `angle_rad` of a `Course`.
     """
 
     size_name: SizeName | None

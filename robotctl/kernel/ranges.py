@@ -1,4 +1,4 @@
-"""The declaration of a parameter: default, allowed values, and when it may change."""
+"""The declaration of a parameter with default, range and time of change."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Range(NamedTuple):
 
 
 class Change(Enum):
-    """When a parameter may get a new value."""
+    """The time at which a parameter may get a new value."""
 
     STANDING = "while the robot stands"
     ANY_TIME = "at any time"
@@ -24,7 +24,7 @@ class Change(Enum):
 
 
 def setting(default: Any, about: str, change: Change = Change.STANDING, **metadata: Any) -> Any:
-    """Return a dataclass field with the `default`; all other arguments become its metadata."""
+    """Return a dataclass field with the `default`, and all other arguments as its metadata."""
     return field(default=default, metadata={"about": about, "change": change, **metadata})
 
 

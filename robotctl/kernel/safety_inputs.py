@@ -1,4 +1,4 @@
-"""Inputs that stop the robot: buttons, bumper, tilt, and the diagnostics of its base."""
+"""Inputs that stop the robot, such as buttons, bumper, tilt and diagnostics."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from robotctl.kernel.ranges import Change, bounded, setting, topic
 
 
 class SafetyInput(Enum):
-    """A safety input. Its kind determines the meaning of its value.
+    """A safety input.
 
-    ESTOP, JOY, BUMPER: 1 means pressed, 0 not pressed. TILT: the angle between the upward axis of
-    the robot and that of the world [rad]. DIAGNOSTICS: the worst level of a DiagnosticStatus.
+    ESTOP, JOY, BUMPER: 1 means pressed, 0 not pressed. TILT: the angle between the upward axes of
+    robot and world [rad]. DIAGNOSTICS: the worst level of a DiagnosticStatus.
     """
 
     ESTOP = "estop"
@@ -74,7 +74,7 @@ class BumperParams:
 
 @dataclass(frozen=True, slots=True)
 class TiltParams:
-    """A sensor_msgs/Imu topic; the robot stops when it is tilted by more than `max_rad`."""
+    """A sensor_msgs/Imu topic; a tilt above `max_rad` stops the robot."""
 
     use: Use = setting(Use.OFF, "tilt of an IMU", Change.START)
     topic: str = topic("imu", "its topic")
@@ -96,7 +96,7 @@ InputParams = EstopParams | JoyParams | BumperParams | TiltParams | DiagnosticsP
 
 @dataclass(frozen=True, slots=True)
 class SafetyInputParams:
-    """The parameters of all safety inputs; each field is named like a value of `SafetyInput`."""
+    """The parameters of all safety inputs."""
 
     estop: EstopParams = field(default_factory=EstopParams)
     joy: JoyParams = field(default_factory=JoyParams)

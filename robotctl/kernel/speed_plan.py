@@ -15,21 +15,18 @@ from robotctl.kernel.path import Path, Segment
 from robotctl.kernel.patterns import Pattern, path_of
 
 SPEED_SHARE = 0.95
-"""The share of the velocity limits that the plan uses; the rest is a reserve for catching up."""
+"""The usable share of the velocity limits; the rest is a reserve for catching up."""
 
 ACCEL_SHARE, GENTLE_SHARE = 0.7, 0.9
 """The usable shares of the acceleration limits: in curves; on lines and turns on the spot."""
 
 JOINT_S = 0.09
-"""Where the curvature jumps, the turning rate may jump by `angular_accel_rps2` times this [s]."""
+"""The allowed jump of the turning rate, per `angular_accel_rps2` [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """The plan for one segment, in m or rad.
-
-    `end_speed` is 0 if the robot stops there; `last_end_speed` replaces it in the last lap.
-    """
+    """The plan for one segment, in m or rad; `last_end_speed` is for the last lap."""
 
     length: float
     top_speed: float
@@ -110,7 +107,7 @@ _last_plan: list[tuple[Path, float, VelocityLimits, tuple[Leg, ...]]] = []
 
 
 def path_for(pattern: Pattern, course: Course, laps: int) -> Path:
-    """Return the path of one lap, cached; if `laps` is not 1, a path of waypoints is closed."""
+    """Return the path of one lap, cached; waypoints make a closed path unless `laps` is 1."""
     again = laps != 1
     for known_pattern, known_course, known_again, path in _last_path:
         if known_pattern is pattern and known_course is course and known_again is again:

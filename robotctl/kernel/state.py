@@ -17,9 +17,9 @@ from robotctl.kernel.types import ZERO, Cause, Lease, LifecycleState, Odometry, 
 
 @dataclass(frozen=True, slots=True)
 class SecondOdometry:
-    """The last sample of an odometry publisher that the robot does not follow.
+    """The last sample of a publisher that the robot does not follow.
 
-    `distance_m` and `angle_rad` are the differences from the pose of the followed publisher.
+    `distance_m` and `angle_rad` are its differences from the followed pose.
     """
 
     source: int
@@ -32,8 +32,8 @@ class SecondOdometry:
 class OdometrySources:
     """The publishers of odometry by number; the robot follows number `followed`.
 
-    `names` pairs the last numbers with node names, `frames` with frames. `dropped` counts the
-    samples that were not used.
+    `names` has pairs of number and node name, `frames` of number and frame. `dropped` counts unused
+    samples.
     """
 
     followed: int = 0
@@ -43,7 +43,7 @@ class OdometrySources:
     frames: tuple[tuple[int, str], ...] = ()
 
     def name_of(self, source: int) -> str:
-        """Return the node name of a publisher, or a phrase when the name is unknown."""
+        """Return the node name of a publisher, or a phrase if it is unknown."""
         return dict(self.names).get(source) or "a publisher without a name"
 
 
@@ -52,8 +52,8 @@ class CommandTopic:
     """Other nodes on the velocity command topic.
 
     `foreign_t_ns` and `foreign_by` are of the last command of another node, None and "" before it.
-    `listeners` counts the subscriptions with `type_name`, the type that robotctl sends; None before
-    discovery. `other_types` are the types of all other subscriptions.
+    `listeners` counts the subscriptions with `type_name`, None before discovery. `other_types` are
+    the types of all other subscriptions.
     """
 
     foreign_t_ns: int | None = None
@@ -126,13 +126,13 @@ UNKNOWN = Health()
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A motion that another node steers; its last request was `twist`, at `t_ns` (None: never)."""
+    """A motion that another node steers; its last request was `twist` at `t_ns`, None if never."""
 
     twist: Twist = ZERO
     t_ns: int | None = None
 
     def wanted(self, t_ns: int, timeout_s: float) -> Twist | None:
-        """Return the last requested velocity; None if it is absent, too old or not finite."""
+        """Return the last requested velocity, None if it is absent, too old or not finite."""
         if self.t_ns is None or abs(t_ns - self.t_ns) / NS_PER_S > timeout_s:
             return None
         twist = self.twist
@@ -191,7 +191,7 @@ def level_of(raw: float, in_percent: bool) -> float:
 
 
 def full_level(scale: BatteryScale) -> float:
-    """Return the value that a gauge with this `scale` reports when the battery is full."""
+    """Return the value of a full battery on this `scale`."""
     return 100.0 if scale is BatteryScale.PERCENT else 1.0
 
 

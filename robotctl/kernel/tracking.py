@@ -15,7 +15,7 @@ from robotctl.kernel.types import Twist
 
 
 def clamp(value: float, bound: float) -> float:
-    """Return `value` limited to [-bound, bound]; nan and inf become 0, never full speed."""
+    """Return `value` limited to [-bound, bound], 0 for nan and inf."""
     if -bound <= value <= bound:
         return value
     return copysign(bound, value) if isfinite(value) else 0.0
@@ -28,7 +28,7 @@ def _approach(current: float, target: float, max_step: float) -> float:
 
 
 def allowed(command: Twist, limits: VelocityLimits) -> Twist:
-    """Return the command limited to the velocity limits; nan and inf become 0."""
+    """Return the command limited to the velocity limits, with 0 for nan and inf."""
     return Twist(
         clamp(command.linear, limits.linear_mps), clamp(command.angular, limits.angular_rps)
     )

@@ -117,7 +117,7 @@ class LeaseRequested:
 
 @dataclass(frozen=True, slots=True)
 class LeaseLost:
-    """The client that holds the lease has disconnected or is silent; `how` says which."""
+    """The holder of the lease has disconnected or is silent."""
 
     t_ns: int
     client: int
@@ -179,8 +179,7 @@ class Tick:
 class OdomReceived:
     """A sample of odometry; its values are unchecked and may be NaN.
 
-    `source` is the number of its publisher, 0 if unknown. `sequence` is the publisher's number for
-    it.
+    `source` is the number of its publisher, 0 if unknown; `sequence` is the sample's number.
     """
 
     t_ns: int
@@ -219,9 +218,9 @@ class BatteryReceived:
 
 @dataclass(frozen=True, slots=True)
 class SafetyInputReceived:
-    """A message of a safety input; `detail` is the sender's text or "".
+    """A message of a safety input; not every repeated value becomes an event.
 
-    Not every repeated value becomes an event. `publisher` and `sequence`: see `BatteryReceived`.
+    `detail` is the sender's text or "". `publisher` and `sequence`: see `BatteryReceived`.
     """
 
     t_ns: int
@@ -236,8 +235,8 @@ class SafetyInputReceived:
 class ScanReceived:
     """The nearest range of a laser scan in each sector [m], counter-clockwise from straight behind.
 
-    The range of an empty sector is inf; `sectors` is () if the message is unreadable. `publisher`
-    and `sequence`: see `BatteryReceived`.
+    It is inf in an empty sector; `sectors` is () if unreadable. For the rest, see
+    `BatteryReceived`.
     """
 
     t_ns: int
@@ -250,8 +249,7 @@ class ScanReceived:
 class ModeRequested:
     """A request for the mode number `requested`, which may be invalid.
 
-    `client` is the number in the client's `Lease`, else 0. A `remote` request may be of another
-    host.
+    `client` is as in `Lease`, 0 without one. A `remote` request may be of another host.
     """
 
     t_ns: int
@@ -324,9 +322,9 @@ class ForeignCommandHeard:
 
 @dataclass(frozen=True, slots=True)
 class CommandListenersSeen:
-    """The number of subscriptions to the command topic with the type that robotctl sends.
+    """The number of subscriptions to the command topic with the sent type, `type_name`.
 
-    `type_name` is the sent type; `other_types` are the types of all other subscriptions.
+    `other_types` are the types of all other subscriptions.
     """
 
     t_ns: int
@@ -352,8 +350,7 @@ class GuardedCommandReceived:
 class LoopStalled:
     """The control loop stalled for `stalled_s` seconds; `detail` names the blocking code.
 
-    Meanwhile a watchdog sent `zeros` zero commands; `withheld` commands of the kernel were not
-    sent.
+    A watchdog sent `zeros` zero commands; `withheld` commands of the kernel were not sent.
     """
 
     t_ns: int
@@ -478,7 +475,7 @@ class ReleaseEmergencyStop:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer to a request; `remedies` says what to do, in order, after a refusal."""
+    """The answer to a request; `remedies` are what to do after a refusal, in order."""
 
     request_id: int
     ok: bool
@@ -491,9 +488,8 @@ class Reply:
 class DriveReport:
     """The length and the tracking errors of a drive, by odometry.
 
-    `closure_m` is the robot's distance from the path's end when the last complete lap ended, NaN
-    before that. A held velocity has no path, so its four errors are 0. In reports of older
-    versions, the last three fields are NaN.
+    `closure_m` is the robot's distance from the path's end after the last complete lap, NaN before.
+    The four errors of a held velocity are 0. Older versions have NaN in the last three fields.
     """
 
     laps: int

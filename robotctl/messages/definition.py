@@ -26,7 +26,7 @@ MAX_LEAVES: Final = 4096
 """Limit on the leaves of a message (`leaf_count`): a short text may describe 2^64 of them."""
 
 MAX_LENGTH: Final = 2**32 - 1
-"""Limit on the length of an array or text: CDR counts with 32 bits."""
+"""Limit on the length of an array or text (CDR counts with 32 bits)."""
 
 TEXT: Final = "string"
 WIDE_TEXT: Final = "wstring"
@@ -68,11 +68,11 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*/[A-Za-z]\w*", re.ASCII)
 
 
 class UnreadableType(ValueError):
-    """The text or description is no readable definition of a type; the error says why."""
+    """A text or description is no readable definition of a type."""
 
 
 class FieldShape(Enum):
-    """The shape of a field: one value, an array or a sequence."""
+    """The shape of a field."""
 
     ONE = "one"
     ARRAY = "array"

@@ -17,7 +17,7 @@ Steps = tuple[str | int, ...]
 
 
 class WrongValue(ValueError):
-    """A path or value that the type does not allow; the text names the field and what to use."""
+    """A path or value that a type does not allow."""
 
 
 class ValueKind(Enum):
@@ -38,7 +38,7 @@ class ValueKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FieldPath:
-    """A path into a message: `steps` lead to the values that `field` describes."""
+    """A path of `steps` into a message, to the values of `field`."""
 
     steps: Steps
     field: Field
@@ -110,7 +110,7 @@ def unknown_field(name: str, type_name: str, fields: tuple[Field, ...]) -> str:
 
 
 def value_at(values: Mapping[str, Any], steps: Steps) -> Any:
-    """Return the value in `values` to which the path `steps` leads.
+    """Return the value at the path `steps` in `values`.
 
     Raises:
         WrongValue: A sequence of this message is shorter than the path's index.

@@ -62,7 +62,7 @@ def read_sample(data: bytes) -> Sample:
 
 
 def read_odometry(data: bytes) -> Odometry:
-    """Return the odometry in the message `data`; `UNREADABLE` if it cannot be read."""
+    """Return the odometry in the message `data`, `UNREADABLE` if it is malformed."""
     try:
         x, y, theta, linear, angular, stamp_ns = _decode(data)
     except Exception:  # noqa: BLE001 - the bytes may be anything
@@ -71,11 +71,7 @@ def read_odometry(data: bytes) -> Odometry:
 
 
 def _decode(data: bytes) -> tuple[float, float, float, float, float, int]:
-    """Return the numbers of a Sample.
-
-    Raises:
-        struct.error: The message is cut short, or not in plain CDR.
-    """
+    """Return the numbers of a Sample; raise struct.error if `data` is malformed."""
     if data[:2] != LITTLE_ENDIAN:
         return _read_odometry(CdrReader(data))
     seconds, nanoseconds = _STAMP.unpack_from(data, BODY)
@@ -97,7 +93,7 @@ def decode_twist(data: bytes) -> Twist:
 
 
 def encode_twist(twist: Twist) -> bytes:
-    """Return a serialized geometry_msgs/Twist with this linear.x and angular.z; the rest is 0."""
+    """Return a serialized geometry_msgs/Twist; all but linear.x and angular.z is 0."""
     return _TWIST.pack(ENCAPSULATION, twist.linear, 0.0, 0.0, 0.0, 0.0, twist.angular)
 
 
@@ -270,7 +266,7 @@ MAX_STATUSES = 2_000
 """Limit on the DiagnosticStatus entries of a message; a message with more is unreadable."""
 
 MAX_VALUES = 20_000
-"""Limit on the key-value pairs in one message: reading this many takes about 20 ms."""
+"""Limit on the key-value pairs in one message, which take about 20 ms to read."""
 
 UNIT_TOLERANCE = 0.1
 """The largest difference between the length of a quaternion and 1."""

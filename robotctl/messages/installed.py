@@ -40,7 +40,7 @@ _BYTES = re.compile(r"^\s*(?:u?int8|byte|char)\[\]\s", re.MULTILINE)
 
 
 class UnusableType(ImportError):
-    """A type cannot be used here; the text is a predicate, such as "is not installed"."""
+    """A type cannot be used here; the text is a predicate such as "is not installed"."""
 
 
 class TypeName(NamedTuple):
@@ -50,7 +50,7 @@ class TypeName(NamedTuple):
     kind: str
     short: str
     interface: str
-    """The name of the interface that defines the type: `SetMode` for `SetMode_Request`."""
+    """The interface that defines the type, such as `SetMode` of `SetMode_Request`."""
 
 
 def parse_type_name(type_name: str) -> TypeName:
@@ -102,11 +102,7 @@ def installed_type(type_name: str) -> InstalledType:
 
 
 def _text_of(name: TypeName, built: dict[str, Any]) -> str:
-    """Return the text of a type; `built` is the content of its .json file.
-
-    Raises:
-        OSError, ValueError, LookupError: A file is missing or cannot be read.
-    """
+    """Return the text of a type; `built` is the content of its .json file."""
     if name.kind == "msg":
         texts: dict[str, str] = {}
         _collect(f"{name.package}/{name.short}", texts)

@@ -53,7 +53,7 @@ class Decoder:
         return values
 
     def _read(self, message: Field, reader: CdrReader) -> list[Any]:
-        """Return the values of the leaves of the next message, whose type is that of `message`."""
+        """Return the values of the leaves of the next message, which has the type of `message`."""
         plan = self._plans.get(message.type_name)
         if plan is None:
             plan = self._plans[message.type_name] = self._plan(message)
@@ -96,7 +96,7 @@ class Decoder:
         return [self._nested(item, iter(self._read(item, reader))) for _ in range(count)]
 
     def _nested(self, field: Field, values: Iterator[Any]) -> Any:
-        """Return the value of a field; take the field's leaves from the front of `values`."""
+        """Return the value of a field from the leaves at the front of `values`."""
         if field.shape is FieldShape.ONE and field.is_message:
             fields = self._definition.types[field.type_name]
             return {each.name: self._nested(each, values) for each in fields}
@@ -112,7 +112,7 @@ def _text_reader(field: Field) -> Callable[[CdrReader], str]:
 
 
 def encode(definition: Definition, values: Mapping[str, Any]) -> bytes:
-    """Return `values` as a serialized message; `filled` makes values that fit `definition`."""
+    """Return `values`, which must fit `definition`, as a serialized message."""
     writer = CdrWriter()
     _write(definition, Field("", definition.root), values, writer)
     return bytes(writer.data)
@@ -144,7 +144,7 @@ def _write(definition: Definition, field: Field, value: Any, writer: CdrWriter) 
 
 
 def zero(definition: Definition, field: Field) -> Any:
-    """Return the default value of a field: numbers 0, bools False, texts and sequences empty."""
+    """Return the default value of a field, which is 0, False or empty."""
     if field.shape is FieldShape.SEQUENCE:
         return []
     if field.shape is FieldShape.ARRAY:

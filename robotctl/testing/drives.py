@@ -81,7 +81,7 @@ Step = tuple[Event, tuple[Effect, ...]]
 JOURNAL = installed_topic("/robotctl/journal", cdr.JOURNAL_ENTRY)
 
 MAX_QUEUED = 20_000
-"""`record` waits while more messages than this are queued: a full queue drops messages."""
+"""The number of queued messages above which `record` waits."""
 
 Written = JournalEntry | Twist | bytes
 """One item to record: a journal entry, a published command, or serialized odometry."""

@@ -74,7 +74,7 @@ class GatedFile(DiskFile):
 
 
 class VolatileFile(DiskFile):
-    """A disk with a cache that a power cut loses: unsynced data may be on the disk or not."""
+    """A disk with a cache; a power cut may lose unsynced data."""
 
     def __init__(self, path: Path) -> None:
         """Create `path`."""

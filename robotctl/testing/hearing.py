@@ -1,4 +1,4 @@
-"""A kernel whose inputs come with serialized, numbered messages, as in a daemon."""
+"""A kernel with serialized, numbered messages as inputs, as in a daemon."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _scan(sectors: tuple[float, ...]) -> bytes:
 class HearingKernel(Kernel):
     """A kernel that serializes and numbers the message of each input before it decides.
 
-    `heard` is the event that it decided on last; `messages` maps (topic, number) to a message.
+    `heard` is the last event; `messages` maps (topic, number) to a message.
     """
 
     def __init__(self, config: Config) -> None:
@@ -95,9 +95,9 @@ class HearingKernel(Kernel):
         self._counts = Counter[str]()
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Decide on `event`; if it is an input, first serialize and number its message.
+        """Decide on `event`; serialize and number the message of an input first.
 
-        Odometry, battery and scans are read back from the message; other events are used as given.
+        Odometry, battery and scans are read back from the message.
         """
         if isinstance(event, OdomReceived):
             sample = event.odometry

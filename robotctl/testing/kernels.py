@@ -40,7 +40,7 @@ MOST_TURNS = 1000
 
 
 class Bench:
-    """A kernel and the clock that the test advances; `events` and `effects` keep everything."""
+    """A kernel and its clock; `events` and `effects` keep everything."""
 
     def __init__(self, params: KernelParams | None = None, state: State | None = None) -> None:
         self.kernel = Kernel(params or KernelParams(), state)
@@ -62,7 +62,7 @@ class Bench:
         return effects
 
     def odometry(self, pose: Pose = ORIGIN, stamp_ns: int | None = None) -> tuple[Effect, ...]:
-        """Feed the kernel odometry that arrives now; without `stamp_ns`, its stamp is now, too."""
+        """Feed the kernel odometry that arrives now, stamped now unless `stamp_ns` is given."""
         stamp_ns = self.t_ns if stamp_ns is None else stamp_ns
         return self.give(OdomReceived(self.t_ns, Odometry(pose, ZERO, stamp_ns)))
 
@@ -117,7 +117,7 @@ class Bench:
 
 
 def ready(params: KernelParams | None = None) -> Bench:
-    """Return a bench in IDLE whose start conditions hold."""
+    """Return a bench in IDLE that fulfils all start conditions."""
     bench = Bench(params)
     bench.run(3)
     return bench

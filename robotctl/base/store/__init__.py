@@ -1,6 +1,7 @@
 """Objects in a bucket, on a web server or in a folder. URLs need obstore; nothing here needs ROS.
 
-store = open_store("s3://bucket/robots/one") for found in store.list():
+store = open_store("s3://bucket/robots/one")
+for found in store.list():
     store.get_range(found, 0, 100)
 """
 
@@ -151,7 +152,7 @@ class RangeReader:
         return next(held, None)
 
     def _asked(self, offset: int, end: int) -> tuple[int, bytes]:
-        """Fetch a range that includes `offset`; return where it begins, and its content."""
+        """Fetch a range that includes `offset`; return its begin and its content."""
         follows = offset == self._next
         self._window = min(2 * self._window, _MOST_BYTES) if follows else _LEAST_BYTES
         end = min(max(end, offset + self._window), self._size)

@@ -59,7 +59,7 @@ NS_PER_S: Final = 1_000_000_000
 
 _SHA256: Final = "sha256"
 _WRITTEN: Final = "mtime"
-"""The attribute with the time when the content was written [ns since the epoch], as in rclone."""
+"""The attribute with the time of writing [ns since the epoch], as in rclone."""
 
 _LIBRARY_LETS_GO_S: Final = 0.5
 """The time for the library's threads to end after a cancellation; they cannot be joined."""
@@ -314,7 +314,7 @@ class RequestLoop:
         self._now_s = now_s
         self._sleep = sleep
         self._cancelled_s = -inf
-        """When a request was last cancelled."""
+        """The time of the last cancellation of a request."""
 
         self.loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self.loop.run_forever, name="store", daemon=True)
@@ -353,7 +353,7 @@ class RequestLoop:
 
 @cache
 def requests() -> RequestLoop:
-    """Return the loop that makes all requests of this process; the first call creates it."""
+    """Return the loop for all requests of this process."""
     loop = RequestLoop()
     atexit.register(loop.end)
     return loop

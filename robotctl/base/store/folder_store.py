@@ -35,10 +35,7 @@ _RENAME_NOREPLACE: Final = 1
 
 
 class FolderStore:
-    """The files below a folder; see `ObjectStore`. Links below the folder are not followed.
-
-    The folder is created when the first object is stored.
-    """
+    """The files below a folder; see `ObjectStore`. Links below the folder are not followed."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -161,7 +158,7 @@ def _described(key: str, status: os.stat_result) -> StoredObject:
 
 
 def _name_if_free(path: Path, target: Path) -> None:
-    """Link a file to the new name `target`; on a file system without hard links, rename the file.
+    """Link or rename a file to the new name `target`.
 
     Raises:
         FileExistsError: `target` exists.

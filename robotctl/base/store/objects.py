@@ -25,7 +25,7 @@ _MAX_KEY_BYTES = 1024
 
 
 class StoreError(UnreadableFile):
-    """A store did not carry out a request; the base class of the errors below."""
+    """A store did not carry out a request."""
 
 
 class NoSuchObject(StoreError):
@@ -33,7 +33,7 @@ class NoSuchObject(StoreError):
 
 
 class AccessDenied(StoreError):
-    """A store denied access: the credentials are wrong, or there are none."""
+    """A store denied access because of wrong or missing credentials."""
 
 
 class ObjectChanged(StoreError):
@@ -49,7 +49,7 @@ class BrokenAnswer(StoreFailed):
 
 
 def changed(where: str) -> ObjectChanged:
-    """Return the error for an object whose content changed while it was read."""
+    """Return the error for an object that changed while it was read."""
     return ObjectChanged(f"{where} was changed while it was read", "run the command again")
 
 
@@ -67,7 +67,7 @@ class StoredObject:
 
     size_bytes: int
     etag: str
-    """Text that changes when the content changes; each store has its own format."""
+    """Text that changes with the content, in the store's own format."""
 
     modified_ns: int = field(default=0, compare=False)
     """The time of writing since the epoch; in a bucket's listing, the time of storing."""
@@ -185,7 +185,7 @@ class StoreUrl:
 
 
 def is_url(text: str) -> bool:
-    """Return whether `text` begins with SCHEME://; the URL need not be valid."""
+    """Return whether `text` begins with SCHEME://."""
     return _URL.match(text) is not None
 
 
