@@ -1,4 +1,4 @@
-"""The action that drives a pattern: goals in, feedback and results out."""
+"""The action that drives a pattern."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ ACTION = "drive_pattern"
 FEEDBACK_PERIOD_S = 0.2
 
 RESULT_KEPT_S = 10
-"""How long [s] after the end of a goal its client may ask for the result."""
+"""The time [s] after the end of a goal in which its client may ask for the result."""
 
+# Each change of one goal publishes the status of all.
 MAX_GOALS = 64
-"""Limit on the goals whose results are kept: each change of one goal publishes the status of all.
-Above the limit, a goal is rejected without a reason."""
+"""Limit on the goals with kept results. Above it, a goal is rejected without a reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +36,12 @@ class Goal:
     """The fields of a goal of DrivePattern.action."""
 
     pattern: str
-    """The name of a pattern; "": the configured pattern."""
+    """The name of a pattern, or "" for the configured one."""
     size_m: float
-    """The size of the pattern; 0: the default."""
+    """The size of the pattern, or 0 for the default."""
     laps: int
     speed_mps: float
-    """The speed; 0: the default."""
+    """The speed, or 0 for the default."""
     replace: bool
     """Whether to replace the present drive."""
 
@@ -58,27 +58,26 @@ class DriveProgress:
 
 @dataclass(frozen=True, slots=True)
 class GoalDrive:
-    """The drive that a goal asks for."""
+    """The drive of one goal."""
 
     reply: asyncio.Future[Reply]
-    """Future of the kernel's reply to the request for the drive."""
+    """The kernel's reply to the request for the drive."""
 
     ended: asyncio.Future[DriveEnded]
-    """Future that is set when the drive ends; it stays pending if the drive is refused."""
+    """Set when the drive ends. It stays pending if the drive is refused."""
 
     progress: Callable[[], DriveProgress | None]
-    """Returns how far the drive has come, or None if it has not begun or has ended."""
+    """Returns the progress, or None if the drive has not begun or has ended."""
 
     ramp_down: Callable[[], bool]
-    """Ramps down and ends the drive; returns False if the drive has ended already."""
+    """Ramps down and ends the drive. Returns False if the drive has ended already."""
 
 
 class DriveAction:
-    """The action `drive_pattern` (DrivePattern) of a node.
+    """The action `drive_pattern` (DrivePattern) of a node, which drives for each accepted goal.
 
-    Each accepted goal is submitted to the kernel at once, as a request for a drive. If the kernel
-    refuses the drive, the goal is aborted, and its result says why; ROS could not pass a reason if
-    the goal were rejected instead. Feedback is published each `FEEDBACK_PERIOD_S`.
+    Feedback is published each `FEEDBACK_PERIOD_S`. If the kernel refuses a drive, the goal is
+    aborted with the reason.
     """
 
     def __init__(
@@ -87,10 +86,10 @@ class DriveAction:
         begin: Callable[[Goal, str], GoalDrive],
         say: Callable[[Reply], str] = attrgetter("message"),
     ) -> None:
-        """Call `begin(goal, source)` for each goal.
+        """Call `begin(goal, source)`, which must return at once, for each goal.
 
-        `begin` must return at once; it raises ValueError, with the reason, if the goal cannot be
-        requested. `say` returns the text of a refusal for the client.
+        `begin` raises ValueError, with the reason, for an invalid goal. `say` returns the text of a
+        refusal for the client.
         """
         self._begin = begin
         self._say = say
@@ -112,7 +111,7 @@ class DriveAction:
         )
 
     def close(self) -> None:
-        """Destroy the action server. The node does not; the server would keep the context alive."""
+        """Destroy the action server, which the node does not destroy."""
         self._server.destroy()
 
     def _has_room(self, _: Any) -> GoalResponse:

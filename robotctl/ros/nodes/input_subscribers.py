@@ -32,10 +32,10 @@ def report_values(
     read: Callable[[bytes], T],
     on_value: Callable[[T, str, int], None],
 ) -> Subscription:
-    """Subscribe to publishers of any QoS on node `_recorder`, and call `on_value` for each message.
+    """Subscribe on node `_recorder`, and call `on_value(value, publisher, sequence)` per message.
 
-    `read` returns the value of a serialized message, and must not raise. `on_value(value,
-    publisher, sequence)` gets the publisher's gid in hex and the publisher's sequence number.
+    `read` returns the value of a serialized message, and must not raise. `publisher` is the
+    publisher's gid in hex, and `sequence` its number of the message.
     """
 
     def receive(data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes) -> None:
@@ -48,7 +48,7 @@ def report_values(
 def report_battery(
     session: Session, topic: str, on_level: Callable[[float, str, int], None]
 ) -> Subscription:
-    """Report each battery level as published, NaN if it is unreadable; see `report_values`."""
+    """Report each battery level as published, NaN if it is unreadable, as `report_values` does."""
     return report_values(session, BatteryState, topic, read_battery_level, on_level)
 
 
@@ -65,7 +65,7 @@ def report_wanted_commands(
     command: CommandType,
     on_command: Callable[[Twist, str, int], None],
 ) -> Subscription:
-    """Call `on_command` for each velocity requested on `topic`; an unreadable one becomes NaN."""
+    """Call `on_command` for each velocity requested on `topic`, NaN if it is unreadable."""
 
     def read(data: bytes) -> Twist:
         try:
@@ -77,8 +77,9 @@ def report_wanted_commands(
 
 
 OnReading = Callable[[SafetyInput, float, str, str, int], None]
-"""Called with an input, the value and the text that `messages.inputs.reader_of` reads from its
-message, the publisher's gid in hex, and the publisher's sequence number."""
+"""Called with an input, its value and text (as `messages.inputs.reader_of` reads them), the
+publisher's gid in hex and its sequence number.
+"""
 
 _CLASSES: dict[SafetyInput, Any] = {
     SafetyInput.ESTOP: Bool,
@@ -94,7 +95,7 @@ def report_safety_inputs(
 ) -> None:
     """Subscribe on node `_recorder` to each safety input in use.
 
-    Call `on_reading` for each changed value. Call it for an unchanged value too, but at most
+    `on_reading` is called for each changed value, and for an unchanged one at most
     REPEATS_PER_TIMEOUT times per timeout of the input.
     """
     for kind in SafetyInput:

@@ -34,7 +34,7 @@ CALLS = tuple(
     OwnTopic(f"{service}/_service_event", kind.Event, qos.SERVICE_EVENTS)
     for service, kind in ((SET_MODE, SetMode), (ESTOP, Trigger))
 )
-"""The introspection topic of each service, which carries its requests and responses."""
+"""The introspection topic of each service, with its requests and responses."""
 
 
 NODE_NAME = "mode_service"
@@ -42,25 +42,25 @@ NODE_NAME = "mode_service"
 
 
 def names(session: Session) -> dict[str, str]:
-    """Return full ROS names by "topic.NAME" and "service.NAME", also before they exist on ROS."""
+    """Return full ROS names by "topic.NAME" and "service.NAME", even before they exist on ROS."""
     return {
         "topic.robot_status": session.resolve(STATUS.name, NODE_NAME),
         **{f"service.{name}": session.resolve(name, NODE_NAME) for name in (SET_MODE, ESTOP)},
     }
 
 
+# Up to 64 may wait for the end of a ramp. The others wait until the e-stop latch is on the disk.
 MAX_IN_WORK = 256
-"""Limit on the requests that wait for the kernel's reply; above it, all but an emergency stop are
-refused as busy. Up to 64 requests may wait for the end of a ramp; the others wait until the e-stop
-latch is on the disk."""
+"""Limit on the requests that wait for the kernel's reply. Above it, all but an emergency stop are
+refused as busy.
+"""
 
 
 class ModeService:
     """Node `mode_service`: `set_mode` (SetMode), `estop` (Trigger), `robot_status` (RobotStatus).
 
-    Requests do not wait for each other: each is submitted to the kernel when it is received, and
-    answered when the kernel replies. `estop` has its own queue, so a backlog of `set_mode` does not
-    delay it. Both services publish their calls on `_service_event` topics.
+    Requests do not wait for each other. Both services publish their calls on `_service_event`
+    topics.
     """
 
     def __init__(
@@ -78,8 +78,7 @@ class ModeService:
         self._say = say
         self._in_work = 0
         self.node = session.node_of(ManagedNode, NODE_NAME)
-        """The node. Its lifecycle state says whether motion may start; its services work in each
-        state. Other roles of the daemon may add interfaces to the node."""
+        """The node. Its lifecycle state gates motion, but not its services."""
         self._publisher = STATUS.create_publisher(self.node)
         self._serve(Trigger, ESTOP, self._stop)
         self._serve(SetMode, SET_MODE, self._set_mode)
@@ -92,7 +91,7 @@ class ModeService:
         return str(self._publisher.topic_name)
 
     def publish(self, mode: Mode, battery_level: float, is_connected: bool) -> None:
-        """Publish the status; `battery_level` is 0 to 1 or NaN. Fresh odometry means connected."""
+        """Publish the status. `battery_level` is 0 to 1 or NaN."""
         message = self._message
         message.mode = mode.value
         message.battery_level = battery_level
@@ -102,6 +101,7 @@ class ModeService:
         self.published += 1
 
     def _serve(self, kind: Any, name: str, handler: Callable[[Any, Any], Any]) -> None:
+        # One queue for each service: a backlog of `set_mode` must not delay `estop`.
         service = self.node.create_service(
             kind,
             name,
@@ -133,7 +133,7 @@ class ModeService:
         return response
 
     def _ask(self, mode: int, service: str) -> Future[Reply]:
-        """Submit a request now, not in the task that answers it, which starts a loop turn later."""
+        """Submit a request at once, before the task that answers it starts."""
         namespace = self.node.get_namespace().rstrip("/")
         reply = self._request(mode, f"the ROS service {namespace}/{service}")
         self._in_work += 1

@@ -38,17 +38,15 @@ from robotctl.kernel.types import LifecycleState
 from robotctl.ros import qos
 
 Ask = Callable[[Sequence[tuple[str, Any]], str], str]
-"""Called with (key, new value) pairs, to set all or none, and the name of the service that asks;
-returns why they were refused, or ""."""
+"""Called with (key, new value) pairs, to set all or none, and the name of the asking service.
+Returns the reason for a refusal, or "".
+"""
 
 
 class ParameterServices(ParameterService):
-    """The six parameter services of a node.
+    """The six parameter services of a node. `ask` sets or refuses new values."""
 
-    rclpy checks types, ranges and read-only parameters of a request, as for every node; then `ask`
-    sets or refuses the values. The queues are short: rclpy's would take 0.3 MB per node.
-    """
-
+    # rclpy checks types, ranges and read-only parameters of a request before `ask`.
     def __init__(self, node: Node, values: Sequence[tuple[Declaration, Any]], ask: Ask) -> None:
         """Declare each parameter on `node`, with its present value."""
         self._node_weak_ref = weakref.ref(node)
@@ -73,7 +71,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Set the node's parameter `key`, if it exists, to the `value` that the daemon now uses."""
+        """Set the node's parameter `key`, if it exists, to the daemon's present `value`."""
         if key not in self._keys or self._asking:  # rclpy stores accepted values itself
             return
         self._showing = True
@@ -142,8 +140,7 @@ Get = Callable[[str], int]
 """Returns the level of a logger, or 0 if the logger has none."""
 
 Set = Callable[[str, int, str], str]
-"""Called with a logger, its new level and the name of the service that asks; returns why the level
-was refused, or ""."""
+"""Called with a logger, its new level and the asking service. Returns why it was refused, or ""."""
 
 
 class LoggerServices(LoggingService):
@@ -171,7 +168,7 @@ class LoggerServices(LoggingService):
 
 
 def set_native_level(name: str, level: int) -> str:
-    """Set the level of a logger of rcl or rclpy; return why that failed, or ""."""
+    """Set the level of a logger of rcl or rclpy. Return the reason for a failure, or ""."""
     try:
         set_logger_level(name, level, detailed_error=True)
     except (RuntimeError, TypeError, ValueError) as error:  # TypeError: not UTF-8
@@ -180,9 +177,9 @@ def set_native_level(name: str, level: int) -> str:
 
 
 class ManagedNode(LifecycleNode):
-    """A node with the lifecycle services; its other interfaces work in every lifecycle state.
+    """A node with the lifecycle services. Its other interfaces work in every lifecycle state.
 
-    It calls `changed(state)` after each request for a transition, even if the state did not change.
+    `changed(state)` is called after each request for a transition, even without a change.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -205,7 +202,7 @@ class ManagedNode(LifecycleNode):
         node.trigger_activate()
 
     def destroy_node(self) -> None:
-        """Destroy the node, then its state machine, which would keep the context alive."""
+        """Destroy the node, and then its state machine, which would keep the context alive."""
         Node.destroy_node(self)
         self._state_machine.destroy_when_not_in_use()
 

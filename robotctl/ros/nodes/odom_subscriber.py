@@ -22,14 +22,14 @@ WANTED = {OdometryQos.BEST_EFFORT: qos.SENSOR, OdometryQos.RELIABLE: QoSProfile(
 """The profile for each value of `odometry.qos`."""
 
 MAX_SOURCES = 256
-"""Limit on remembered publishers; above it, the one that was silent longest is forgotten."""
+"""Limit on remembered publishers. Above it, the longest silent one is forgotten."""
 
 LOOKS_FOR_NAME = 20
-"""How many times `find_names` looks for a publisher's node; a node that has ended is not found."""
+"""The number of times that `find_names` looks for a publisher's node."""
 
 
 class OdomSubscriber:
-    """Node `odom_subscriber`: receives odometry, by default from publishers of any QoS."""
+    """Node `odom_subscriber`, which receives odometry, by default from publishers of any QoS."""
 
     def __init__(
         self,
@@ -41,18 +41,17 @@ class OdomSubscriber:
     ) -> None:
         """Call `on_odometry(odometry, source, sequence)` for each message.
 
-        `source` is the number of the message's publisher, counted from 1; `sequence` is the
-        publisher's sequence number of the message. Before a publisher's first message, call
-        `on_source(source, gid, name, frame)`: its number, its gid in hex, its node's name ("" if
-        not known yet) and the frame id of its messages. Call `on_source` again when `find_names`
-        finds the node, and when the frame id changes.
+        `source` is the number of the publisher, counted from 1, and `sequence` the publisher's
+        number of the message. Before a publisher's first message, call `on_source(source, gid,
+        name, frame)` with its gid in hex, its node's name ("" if unknown) and its frame id. Repeat
+        that when `find_names` finds the node, or when the frame id changes.
         """
         self._node = session.node("odom_subscriber")
         self._log = logging.getLogger(session.logger_name("odom_subscriber"))
         self._on_odometry = on_odometry
         self._on_source = on_source
         self._sources: dict[bytes, int] = {}
-        """A publisher's gid -> its number, ordered by the time of each publisher's last message."""
+        """A publisher's gid -> its number, in the order of the last messages."""
 
         self._last_source = 0
         self._last_gid: bytes | None = None
@@ -60,10 +59,10 @@ class OdomSubscriber:
         """The frame id of the last message, as serialized bytes."""
 
         self._told: dict[bytes, tuple[str, str]] = {}
-        """A publisher's gid -> its node's name and its frame id, as `on_source` got them last."""
+        """A publisher's gid -> node name and frame id in the last call of `on_source`."""
 
         self._nameless: dict[bytes, int] = {}
-        """Gid of a publisher whose node is unknown -> how many more times to look for the node."""
+        """Gid of a publisher whose node is unknown -> the number of looks that are left."""
 
         # A raw tap is fast; it must not collect messages, because the kernel decides on them.
         tap = RawTap(self._receive, latency_s=0.0)
@@ -78,7 +77,7 @@ class OdomSubscriber:
         return str(self._subscription.topic_name)
 
     def count_publishers(self) -> int:
-        """Return how many publishers the odometry topic has now."""
+        """Return the present number of publishers of the odometry topic."""
         return int(self._node.count_publishers(self.topic))
 
     def _receive(
@@ -95,7 +94,7 @@ class OdomSubscriber:
         self._on_odometry(odometry, source, sequence)
 
     def _number(self, gid: bytes) -> int:
-        """Number a new publisher; above MAX_SOURCES, forget the one that was silent longest."""
+        """Number a new publisher. Above MAX_SOURCES, forget the one that was silent longest."""
         if len(self._sources) >= MAX_SOURCES:
             forgotten = next(iter(self._sources))
             del self._sources[forgotten]
@@ -116,7 +115,7 @@ class OdomSubscriber:
         self._on_source(self._sources[gid], gid.hex(), name, frame)
 
     def find_names(self) -> None:
-        """Look again for the nodes of publishers whose node is unknown; report each node found."""
+        """Look again for the unknown nodes of publishers, and report each node found."""
         if not self._nameless:
             return
         names = publisher_names(self._node, self.topic)

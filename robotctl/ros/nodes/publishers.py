@@ -30,7 +30,7 @@ LOCKING = frozenset({Mode.ERROR, Mode.EMERGENCY_STOP})
 
 
 class CommandLock:
-    """Publishes on `topic` whether commands are locked; does nothing if `topic` is ""."""
+    """Publishes on `topic` whether commands are locked. Does nothing if `topic` is ""."""
 
     def __init__(self, node: Node, topic: str) -> None:
         own = OwnTopic(topic, Bool, qos.LATCHED)
@@ -73,7 +73,7 @@ class DiagnosticsPublisher:
         self._publisher = DIAGNOSTICS_TOPIC.create_publisher(self._node)
 
     def publish(self, *diagnoses: Diagnosis) -> None:
-        """Publish diagnoses, stamped now; characters that are not printable are escaped."""
+        """Publish diagnoses, stamped now. Characters that are not printable are escaped."""
         message = DiagnosticArray()
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [
@@ -104,7 +104,7 @@ class TextPublisher:
         self._publisher = topic.create_publisher(session.helper())
 
     def publish(self, text: str) -> bytes:
-        """Publish a text, and return the serialized message; a failure is only logged."""
+        """Publish a text, and return the serialized message. A failure is only logged."""
         serialized = bytes(serialize_message(String(data=text)))
         try:
             self._publisher.publish(serialized)
@@ -127,7 +127,7 @@ class JournalPublisher:
         self._failing = False
 
     def publish(self, serialized: bytes) -> None:
-        """Publish an entry if the topic has a subscriber; a failure is only logged."""
+        """Publish an entry if the topic has a subscriber. A failure is only logged."""
         if not self._subscriptions:
             return  # the topic is volatile: no later subscriber gets it
         try:
@@ -146,7 +146,7 @@ ROSOUT_TOPIC: Final = OwnTopic("/rosout", Log, qos.ROSOUT)
 """One topic for all nodes of a domain."""
 
 MAX_TEXT: Final = 10_000
-"""Limit on the characters of a line; the rest is cut off."""
+"""Limit on the characters of a line. The rest is cut off."""
 
 
 class RosoutPublisher:
@@ -156,7 +156,7 @@ class RosoutPublisher:
         self._publisher = ROSOUT_TOPIC.create_publisher(session.helper())
 
     def publish(self, record: logging.LogRecord, level: int, logger: str, text: str) -> None:
-        """Publish the `text` of a record; `level` and the name `logger` are those of ROS.
+        """Publish the `text` of a record with the `level` and the name `logger` of ROS.
 
         Raises:
             Exception: A field of `record` has a wrong type or value, or the middleware failed.

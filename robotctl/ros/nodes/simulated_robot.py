@@ -1,4 +1,4 @@
-"""The simulated robot on ROS: receives commands; publishes odometry and battery (best effort)."""
+"""The simulated robot on ROS. It receives commands, and publishes odometry and battery."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from robotctl.sim import Robot, SimFault, SimParams
 
 
 def battery_message(level: float, stamp_ns: int) -> BatteryState:
-    """Return a BatteryState with `level` as its percentage; what is not measured is NaN."""
+    """Return a BatteryState with `level` as its percentage, and NaN for all other values."""
     message = BatteryState()
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
     message.percentage = level
@@ -33,12 +33,11 @@ def battery_message(level: float, stamp_ns: int) -> BatteryState:
 
 
 MAX_STEP_S = 0.1
-"""The longest step of the motion. If the process pauses for longer, the rest of the pause does not
-count, so that the robot does not jump."""
+"""The longest step of the motion, so that the robot does not jump after a pause."""
 
+# So short that one wake-up of the loop handles both timers, the robot's first.
 LEAD_NS = 5_000
-"""How long before each control tick the simulated robot moves, so that its odometry is fresh. It is
-so short that one wake-up of the loop handles both timers, the robot's first."""
+"""The time by which the simulated robot moves before each control tick, for fresh odometry."""
 
 
 def odometry_topic(name: str) -> OwnTopic:
@@ -47,12 +46,12 @@ def odometry_topic(name: str) -> OwnTopic:
 
 
 def battery_topic(name: str) -> OwnTopic:
-    """Return the topic `name` on which the simulated robot publishes its battery level."""
+    """Return the topic `name` for the battery level of the simulated robot."""
     return OwnTopic(name, BatteryState, qos.SENSOR)
 
 
 class SimulatedRobot:
-    """Node `simulated_robot`; the robot moves while `run` runs."""
+    """Node `simulated_robot`. The robot moves while `run` runs."""
 
     def __init__(
         self,
@@ -65,10 +64,10 @@ class SimulatedRobot:
         battery: str,
         full_level: float,
     ) -> None:
-        """Create the node; `command`, `odometry` and `battery` are the names of its topics.
+        """Create the node. `command`, `odometry` and `battery` are the names of its topics.
 
-        If `battery` is "", no battery level is published. `full_level` is the level to publish for
-        a full battery.
+        If `battery` is "", no battery level is published. `full_level` is the published level of a
+        full battery.
         """
         self._params = params
         self._robot = Robot(params)
@@ -78,7 +77,7 @@ class SimulatedRobot:
         self._moved_ns = 0
         self._battery_due_ns = 0
         self._wall_ns = 0
-        """Wall-clock time minus steady time [ns], read when `run` begins."""
+        """Wall-clock time minus steady time [ns] at the begin of `run`."""
 
         node = session.node("simulated_robot")
         tap = RawTap(self._command, latency_s=None)
@@ -91,7 +90,7 @@ class SimulatedRobot:
         self._battery = battery_topic(battery).create_publisher(node) if battery else None
 
     async def run(self) -> None:
-        """Move the robot until cancelled; publish odometry at the set rate, the battery at 1 Hz."""
+        """Move the robot and publish odometry until cancelled, and the battery level at 1 Hz."""
         self._moved_ns = self._battery_due_ns = time.monotonic_ns()
         # Read only once: if the wall clock is set back later, the stamps must still increase.
         self._wall_ns = time.time_ns() - self._moved_ns
@@ -122,12 +121,12 @@ class SimulatedRobot:
         return self._robot.truth
 
     def set_battery(self, level: float) -> None:
-        """Set the battery level, 0 to 1; the next step of the motion publishes it."""
+        """Set the battery level, 0 to 1. The next step of the motion publishes it."""
         self._robot.battery = level
         self._is_changed = True
 
     def begin_fault(self, fault: SimFault, for_s: float) -> None:
-        """Begin `fault`, which lasts `for_s` seconds of simulated time."""
+        """Begin `fault` for `for_s` seconds of simulated time."""
         self._robot.faults.begin(fault, for_s)
         self._is_changed = True
 

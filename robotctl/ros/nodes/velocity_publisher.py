@@ -26,7 +26,7 @@ MAX_NAMED = 8
 """Limit on the other publishers, and on the other command types, that a sentence names."""
 
 LOCK_TIMEOUT_S = 0.02
-"""How long `publish_zero` waits for a publication that runs: a longer one hangs in rclpy."""
+"""How long `publish_zero` waits for a running publication. A longer one hangs in rclpy."""
 
 
 def is_monitor(node_name: str) -> bool:
@@ -40,16 +40,16 @@ def command_topic(name: str, command: CommandType = PLAIN) -> OwnTopic:
 
 
 def publishing_line(twist: Twist) -> str:
-    """Return the line that the first-package tutorial logs for each command."""
+    """Return the tutorial's log line for a command."""
     linear, angular = round(twist.linear, 3), round(twist.angular, 3)
     return f"Publishing: linear.x={linear}, angular.z={angular}"
 
 
 class VelocityPublisher:
-    """Node `velocity_publisher`, which sends the velocity commands; `published` counts them.
+    """Node `velocity_publisher`, which sends the velocity commands.
 
-    `close_gate` and `publish_zero` may be called from any thread. One command may still pass
-    after `close_gate`; after the next `publish_zero`, only zeros are sent until `open_gate`.
+    Any thread may call `close_gate` and `publish_zero`. One command may still pass after
+    `close_gate`. After the next `publish_zero`, only zeros are sent until `open_gate`.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class VelocityPublisher:
         command: CommandType = PLAIN,
         is_silent: Callable[[], bool] = lambda: False,
     ) -> None:
-        """While `is_silent()` is true, `publish_zero` sends nothing: other nodes may command."""
+        """Send no zeros in `publish_zero` while `is_silent()` is true."""
         self._is_silent = is_silent
         self._node = session.node(NODE_NAME)
         self._log = logging.getLogger(session.logger_name(NODE_NAME))
@@ -68,7 +68,7 @@ class VelocityPublisher:
         self._publisher = own_topic.create_publisher(self._node)
         self._type_name = own_topic.type_name
         self.gid = gid_of(self._publisher)
-        """The gid that our commands carry."""
+        """The gid of our commands."""
         self._lock = Lock()
         self._gated = False
         self._zeros = 0
@@ -88,19 +88,18 @@ class VelocityPublisher:
         """Call `heard(gid)` for each command on the topic, from any publisher.
 
         Commands are collected for `latency_s` [s] or, if that is None, until the returned function
-        is called, which handles them at once. The subscription is best effort, so that it receives
-        from publishers of any QoS.
+        is called.
         """
         tap = RawTap(lambda data, received, source, sequence, gid: heard(gid), latency_s=latency_s)
         subscribe_raw(self._node, self._command.message_class, self.topic, tap, qos.MONITOR)
         return lambda: tap.poll()
 
     def name_of(self, gid: bytes) -> str:
-        """Return the full name of the node whose commands have this gid, "" if unknown."""
+        """Return the full name of the node that sends commands with this gid, "" if unknown."""
         return node_of(self._node, self.topic, gid)
 
     def publish(self, twist: Twist) -> None:
-        """Send the command; while the gate is closed, send zero instead."""
+        """Send the command, or zero while the gate is closed."""
         with self._lock:
             if self._gated:
                 self._withheld += twist != ZERO
@@ -112,7 +111,7 @@ class VelocityPublisher:
             self._log.debug(publishing_line(twist))
 
     def publish_zero(self) -> None:
-        """While the gate is closed, send a zero unless `is_silent()`; not for the loop's thread.
+        """Send a zero if the gate is closed and `is_silent()` is false. Not for the loop's thread.
 
         Raises:
             TimeoutError: `publish`, in the loop's thread, hangs in the middleware.
@@ -132,12 +131,14 @@ class VelocityPublisher:
         return bool(self._publisher.wait_for_all_acked(Duration()))
 
     def close_gate(self) -> None:
-        """From now on, send zeros instead of commands."""
+        """Send zeros instead of commands from now on."""
         self._gated = True
 
     def open_gate(self) -> tuple[int, int]:
-        """From now on, send commands unchanged. Return how many zeros `publish_zero` has sent, and
-        how many commands `publish` has replaced by zero, since the last call of `open_gate`."""
+        """Send commands again, and return (zeros of `publish_zero`, commands replaced by zero).
+
+        Both count since the last `open_gate`.
+        """
         with self._lock:
             self._gated = False
             counts = self._zeros, self._withheld
@@ -153,9 +154,9 @@ class VelocityPublisher:
         return named_nodes(each for each in publishers if each.gid != self.gid)
 
     def listeners(self) -> tuple[int, tuple[str, ...], str]:
-        """Return the count of subscriptions with our type, the types of the others, and our type.
+        """Return (number of subscriptions with our type, types of the others, our type).
 
-        Subscriptions of recorders, monitors and tools are left out: they move no robot.
+        Subscriptions of recorders, monitors and tools are left out.
         """
         types = [
             short_name(each.topic_type)
@@ -166,16 +167,16 @@ class VelocityPublisher:
         return types.count(self._type_name), tuple(others[:MAX_NAMED]), self._type_name
 
     def count_listeners(self) -> int:
-        """Return how many subscriptions the command topic has, recorders included."""
+        """Return the number of subscriptions to the command topic, recorders included."""
         return int(self._node.count_subscribers(self.topic))
 
     def count_publishers(self) -> int:
-        """Return how many publishers the command topic has, ours included."""
+        """Return the number of publishers of the command topic, ours included."""
         return int(self._node.count_publishers(self.topic))
 
 
 def named_nodes(found: Iterable[endpoints.Endpoint]) -> tuple[str, ...]:
-    """Return full names of the endpoints' nodes, sorted; after MAX_NAMED names, "N more"."""
+    """Return the sorted full names of the endpoints' nodes, with "N more" after MAX_NAMED."""
     names = sorted(short_name(full_name(each)) for each in found)
     named = [name or "a node whose name is not known yet" for name in names[:MAX_NAMED]]
     if len(names) > MAX_NAMED:

@@ -15,40 +15,40 @@ from robotctl.ros.graph.discovery import GraphChanges
 from robotctl.ros.tap.subscription import TappedSubscription, TypeLoader, offered_types
 
 LATENCY_S: Final = 0.01
-"""How long messages are collected: one wake-up of the loop costs as much as ten messages."""
+"""How long messages are collected. One wake-up of the loop costs as much as ten messages."""
 
 POLL_S: Final = 0.1
 """The time between two looks at the graph while it changes."""
 
 CALM_S: Final = 1.0
-"""The time between two looks at the graph without an announced change; rcl announces no new QoS."""
+"""The time between two looks at the graph without an announced change. rcl announces no new QoS."""
 
 MAX_TOPICS: Final = 5_000
-"""Limit on the topics that are reported; other processes may create any number."""
+"""Limit on the reported topics, of which other processes may create any number."""
 
 
 class TopicWatcher(Protocol):
     """Receives the findings of `OnDemandTap` about the topics of the graph."""
 
     def appeared(self, topic: str, type_name: str, definition: str) -> None:
-        """Add a topic that now has a publisher; `definition` is the ros2msg text of its type."""
+        """Add a topic with a publisher. `definition` is the ros2msg text of its type."""
 
     def vanished(self, topic: str) -> None:
-        """Remove a topic that `appeared` added: no publisher of its type is left."""
+        """Remove a topic of `appeared`, as no publisher of its type is left."""
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Report the `problem` that prevents showing `topic`, or "" when it has ended."""
+        """Report the `problem` with showing `topic`, or "" when it has ended."""
 
 
 class OnDemandTap:
-    """Reports the topics that `node` sees; subscribes on request. For the loop's thread only."""
+    """Reports the topics of the graph, and subscribes on request. For the loop's thread only."""
 
     def __init__(self, node: Node, watcher: TopicWatcher) -> None:
         self._node = node
         self._watcher = watcher
         self._types = TypeLoader()
         self._known: dict[str, str] = {}
-        """Topic that was reported as appeared -> its type."""
+        """Reported topic -> its type."""
 
         self._problems: dict[str, str] = {}
         self._sinks: dict[str, ViewSink] = {}
@@ -63,10 +63,9 @@ class OnDemandTap:
                 await changes.wait(0.0 if is_loading else CALM_S)
 
     def want(self, topic: str, sink: ViewSink) -> None:
-        """Subscribe to a topic that has appeared; its messages go to `sink`, latched ones first.
+        """Subscribe to a topic that has appeared. Its messages go to `sink`, latched ones first.
 
-        If the topic already has a sink and no latched messages, keep that sink and ignore `sink`.
-        Otherwise subscribe again, so that the new sink gets the latched messages.
+        If the topic already has a sink and no latched messages, `sink` is ignored.
         """
         if topic in self._tapped and not self._tapped[topic].is_latched:
             return
@@ -81,7 +80,7 @@ class OnDemandTap:
             self._tapped.pop(topic).close()
 
     def _look(self) -> bool:
-        """Report topics that appeared or vanished; return whether a type is still loading."""
+        """Report topics that appeared or vanished. Return whether a type is still loading."""
         present = list(endpoints.topics(self._node))[:MAX_TOPICS]
         is_loading = False
         for topic in present:
@@ -92,7 +91,7 @@ class OnDemandTap:
         return is_loading
 
     def _look_at(self, topic: str) -> bool:
-        """Report what changed about a topic; return whether its type is still loading."""
+        """Report the changes of a topic. Return whether its type is still loading."""
         if not endpoints.is_topic_name(topic) or not endpoints.publisher_count(self._node, topic):
             self._forget(topic)
             return False

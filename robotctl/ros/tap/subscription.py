@@ -1,9 +1,4 @@
-"""The subscription of one tapped topic.
-
-A transient-local subscription gets latched messages, but nothing of volatile publishers; a volatile
-one gets new messages of all publishers, but no latched ones (DDS 1.4, 2.2.3.4). So a topic with
-both kinds of publisher takes two subscriptions. Subscribing again delivers latched messages again.
-"""
+"""The subscription of one tapped topic."""
 
 from __future__ import annotations
 
@@ -26,8 +21,7 @@ from robotctl.ros.graph import endpoints
 from robotctl.ros.message_types import message_class, subscribe_raw
 
 MAX_PUBLISHERS = 1024
-"""Limit on the publishers of a topic that are remembered; the latched messages of a publisher that
-was forgotten may be recorded twice."""
+"""Limit on the remembered publishers of a topic. Latched messages of others may repeat."""
 
 MAX_GAPS = 32
 """Limit on the remembered gaps in the numbers of one publisher."""
@@ -35,16 +29,13 @@ MAX_GAPS = 32
 
 @dataclass(slots=True)
 class Delivered:
-    """The messages of one publisher that reached the sink: up to `last`, without those in `gaps`.
-
-    The number of the first message is 1.
-    """
+    """The messages of one publisher that reached the sink: up to `last`, without `gaps`."""
 
     last: int = 0
     gaps: list[range] = field(default_factory=list)
 
     def add(self, sequence: int) -> bool:
-        """Add a message; return whether it is new."""
+        """Add a message, and return whether it is new."""
         if sequence > self.last:
             if sequence > self.last + 1:
                 self.gaps = [*self.gaps, range(self.last + 1, sequence)][-MAX_GAPS:]
@@ -61,7 +52,7 @@ class Delivered:
 class LatchedMerge:
     """A sink that passes each message on once, even if several subscriptions deliver it.
 
-    A message is always passed on if its sequence number is 0, which means that it has none.
+    A message with sequence number 0 is always passed on.
     """
 
     def __init__(self, sink: ViewSink) -> None:
@@ -82,7 +73,7 @@ class LatchedMerge:
 
 
 def offered_types(node: Node, topic: str) -> dict[str, list[QoSProfile]]:
-    """Return the QoS profiles of a topic's publishers by type, the most frequent type first."""
+    """Return type -> QoS profiles of the topic's publishers, the most frequent type first."""
     found: dict[str, list[QoSProfile]] = {}
     for info in endpoints.publishers(node, topic):
         found.setdefault(info.topic_type, []).append(info.qos_profile)
@@ -90,11 +81,10 @@ def offered_types(node: Node, topic: str) -> dict[str, list[QoSProfile]]:
 
 
 LATENCY_S = 0.05
-"""How long messages are collected, since it costs less to handle them together. The middleware sets
-their time stamps, so the recording does not show the delay."""
+"""How long messages are collected, since it costs less to handle them together."""
 
 Requests = tuple[QoSProfile, QoSProfile | None]
-"""The QoS of the subscription, and that of the second one for latched messages, if needed."""
+"""The QoS of the subscription, and of a second one for latched messages, or None."""
 
 
 class TappedSubscription:
@@ -109,14 +99,14 @@ class TappedSubscription:
         offered: Sequence[QoSProfile],
         latency_s: float = LATENCY_S,
     ) -> None:
-        """Subscribe to publishers that offer these profiles; collect messages for `latency_s`."""
+        """Subscribe to publishers that offer these profiles. Collect messages for `latency_s`."""
         self.topic = topic
         self.type_name = type_name
         self.publishers = 0
-        """The number of publishers at the last look at the graph; `Tap` sets it."""
+        """The number of publishers at the last look at the graph. `Tap` sets it."""
 
         self.abandoned_since: float | None = None
-        """When the topic lost its last publisher [steady s]; None while it has one."""
+        """When the topic lost its last publisher [steady s], or None while it has one."""
 
         self._node = node
         self._latency_s = latency_s
@@ -133,9 +123,9 @@ class TappedSubscription:
         return latched is not None or requested.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
     def adapt(self, offered: Sequence[QoSProfile]) -> None:
-        """Subscribe again if the profiles that the publishers now offer require another QoS.
+        """Subscribe again if the publishers' profiles `offered` require another QoS.
 
-        Messages that are sent before the new subscription has matched are lost, and count as lost.
+        Messages before the new subscription has matched are lost.
 
         Raises:
             Exception: rclpy could not subscribe; the next call tries again.
@@ -159,6 +149,10 @@ class TappedSubscription:
             self.close()  # one alone would record a part of the messages as if it were all
             raise
 
+    # A transient-local subscription gets latched messages, but nothing of volatile publishers. A
+    # volatile one gets new messages of all publishers, but no latched ones (DDS 1.4, 2.2.3.4). So
+    # both kinds of publisher take two subscriptions. Subscribing again delivers latched messages
+    # again.
     def _sinks(self, requests: Requests) -> Iterator[tuple[ViewSink, QoSProfile]]:
         requested, latched = requests
         if latched is not None:
@@ -179,35 +173,31 @@ class TappedSubscription:
 
 
 SLOW_LOAD_S = 2.0
-"""A load of a type that takes longer is slow: other loads no longer wait for it. 0.1 s is usual."""
+"""The time after which a load of a type is slow, so that others may begin. 0.1 s is usual."""
 
+# Each competes with the loop for the GIL.
 MAX_LOADS = 4
-"""Limit on simultaneous loads. Another one begins only if all running ones are slow, because each
-competes with the loop for the GIL."""
+"""Limit on simultaneous loads. Another begins only if all others are slow."""
 
 MAX_REMEMBERED = 4096
-"""Limit on remembered results; other processes may announce any number of types."""
+"""Limit on remembered results, as other processes may announce any number of types."""
 
 
 class TypeLoader:
-    """Loads message types in daemon threads; used in the loop's thread only.
-
-    If the module of a type raises any exception, the type cannot be loaded. A load that never ends
-    does not keep the process alive.
-    """
+    """Loads message types in daemon threads. Used in the loop's thread only."""
 
     def __init__(self) -> None:
         self._problems: dict[str, str] = {}
-        """Type -> why it cannot be loaded, or "" if it is loaded."""
+        """Type -> the reason against loading it, or "" if it is loaded."""
 
         self._waiting: dict[str, None] = {}
         self._loading: dict[str, float] = {}
-        """Type -> when its load began, on the steady clock [s]."""
+        """Type -> the begin of its load on the steady clock [s]."""
 
         self._all_loaded = asyncio.Event()
 
     def problem(self, type_name: str) -> str | None:
-        """Return why a type cannot be loaded, "" if it is loaded, None while it is loading.
+        """Return "" if a type is loaded, None while it is loading, or the reason for a failure.
 
         The reason continues the text "type T, which". The first call for a type starts its load.
         """
@@ -229,7 +219,7 @@ class TypeLoader:
         return since_s is not None and time.monotonic() - since_s > SLOW_LOAD_S
 
     async def pause(self, at_most_s: float) -> None:
-        """Sleep for `at_most_s` seconds, or until a load ends and no type waits to be loaded."""
+        """Sleep for `at_most_s` seconds, or until a load ends and no type waits."""
         self._all_loaded.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(at_most_s):
@@ -273,7 +263,7 @@ class TypeLoader:
 
 
 def load_type(type_name: str) -> str:
-    """Load what a subscription needs of a type; return why the type cannot be loaded, or ""."""
+    """Load a type for a subscription. Return the reason for a failure, or ""."""
     try:
         check_for_type_support(message_class(type_name))
         installed_type(type_name)

@@ -28,31 +28,31 @@ from robotctl.ros.tap.subscription import SLOW_LOAD_S, TappedSubscription, TypeL
 _log = logging.getLogger(__name__)
 
 MAX_ENDPOINTS: Final = 20
-"""Limit on the publishers, and on the subscriptions, of a topic whose QoS is compared."""
+"""Limit on the publishers and on the subscriptions of a topic with compared QoS."""
 
 MAX_NAMED: Final = 20
 
 MAX_SAID: Final = 1_000
-"""Limit on the logged sentences: other processes may create topics without end."""
+"""Limit on the logged sentences, since other processes may create topics without end."""
 
 
 class Sentences:
-    """Collects a sentence for each topic that has a problem, and logs each sentence once."""
+    """Keeps a sentence for each topic with a problem, and logs each sentence once."""
 
     def __init__(self, most: int, more: str) -> None:
-        """`warnings` yields at most `most` sentences, then "N more topics" and the text `more`."""
+        """Limit `warnings` to `most` sentences and "N more topics" with the text `more`."""
         self.by_topic: dict[str, str] = {}
         self._most, self._more = most, more
         self._said: set[str] = set()
         self._logged = 0
 
     def note(self, topic: str, sentence: str) -> None:
-        """Set the sentence about a topic, which stays until `clear`."""
+        """Set the sentence about a topic until `clear`."""
         self.by_topic[topic] = sentence
         self.say(sentence)
 
     def clear(self, topics: Iterable[str]) -> None:
-        """Remove the sentences about `topics`, whose problem has ended."""
+        """Remove the sentences about `topics`."""
         for topic in topics:
             self.by_topic.pop(topic, None)
 
@@ -71,12 +71,9 @@ class Sentences:
 
 
 class QosMismatches(Sentences):
-    """Finds QoS mismatches on the topics for which `look` is called.
+    """Finds QoS mismatches on topics. Hidden nodes are left out."""
 
-    Hidden nodes are left out: a recorder's additional subscription for latched messages mismatches
-    the volatile publishers on purpose.
-    """
-
+    # A recorder's subscription for latched messages mismatches volatile publishers on purpose.
     def __init__(self, node: Node) -> None:
         super().__init__(MAX_NAMED, "have a QoS mismatch")
         self._node = node
@@ -130,7 +127,7 @@ def _reason(offered: QoSProfile, asked: QoSProfile) -> str:
 
 
 MAX_WARNINGS = 50
-"""Limit on the topics that `warnings` names; further topics are only counted."""
+"""Limit on the topics that `warnings` names."""
 
 
 class Unrecorded(Sentences):
@@ -148,7 +145,7 @@ class Unrecorded(Sentences):
         self.say(self._last_missed)
 
     def warnings(self) -> Iterator[str]:
-        """Yield the sentences about topics, and a last one on those that `miss` has counted."""
+        """Yield the sentences about topics, and a last one on the topics of `miss`."""
         yield from super().warnings()
         if self._missed:
             others = f" (and {self._missed - 1} other topics)" if self._missed > 1 else ""
@@ -157,7 +154,7 @@ class Unrecorded(Sentences):
 
 @dataclass(frozen=True, slots=True)
 class TopicDescription:
-    """A topic's full name, its type with definition and hash, and its publishers' QoS as YAML."""
+    """A topic with its type, definition and hash, and its publishers' QoS as YAML."""
 
     name: str
     type_name: str
@@ -167,7 +164,7 @@ class TopicDescription:
 
 
 def describe(name: str, type_name: str, offered: Iterable[QoSProfile]) -> TopicDescription:
-    """Return the description of the topic `name`; `offered` are its publishers' QoS profiles."""
+    """Return the description of the topic `name` with the publishers' profiles `offered`."""
     text, type_hash = installed_type(type_name)
     return TopicDescription(name, type_name, text, type_hash, qos.to_yaml(offered))
 
@@ -179,28 +176,27 @@ CALM_S = 1.0
 """The time between two looks at the graph while rcl announces no change."""
 
 LOOKS_PER_COUNT = 4
-"""The publishers of a tapped topic are counted once in this number of looks at the graph."""
+"""The number of looks at the graph between two counts of a tapped topic's publishers."""
 
+# After a graph change, at least this number of looks come at POLL_S.
 LOOKS_PER_INSPECTION = 40
-"""Once in this number of looks, the QoS and types of a topic's publishers are read again, even if
-their count is the same. After a graph change, at least this number of looks come at POLL_S."""
+"""The number of looks between two readings of a topic's QoS and types."""
 
 TOPICS_PER_TURN = 50
-"""Limit on the topics that are checked in one turn of the loop, so as not to hold up the loop."""
+"""Limit on the topics that are checked in one turn of the loop."""
 
 ABANDONED_S = 60.0
-"""The subscription of a topic without publishers ends after this time, which is long enough for a
-node to restart."""
+"""The time without publishers after which a subscription ends. A node restarts sooner."""
 
 RESERVED_FILES = 256
-"""How many descriptors (at most half) to leave for other parts; each subscription takes one."""
+"""The number of descriptors (at most half) for other parts. Each subscription takes one."""
 
 MAX_TYPES_NAMED = 5
 """Limit on the types that the sentence about a topic names."""
 
 
 class TooManyTopics(Exception):
-    """No more topics can be subscribed to: the free descriptors are reserved for other parts."""
+    """No more topics can be subscribed to, because of the limit on open files."""
 
 
 class Tap:
@@ -214,10 +210,10 @@ class Tap:
     ) -> None:
         """Call `open_sink`, which returns the sink for a topic's messages, for each new topic.
 
-        Topics for which `wanted(topic, type)` is false are not subscribed to.
+        Topics with a false `wanted(topic, type)` are not subscribed to.
         """
         self.node = session.helper()
-        """The hidden node, which has all subscriptions of the tap."""
+        """The hidden node with all subscriptions of the tap."""
 
         self._resolve = session.resolve
         self._open_sink = open_sink
@@ -226,13 +222,13 @@ class Tap:
         self._own: set[str] = set()
         self._tapped: dict[str, TappedSubscription] = {}
         self._left_out: dict[str, list[str]] = {}
-        """Topic that was left out -> its types; it is tried again when its types change."""
+        """Topic that was left out -> its types. It is tried again when its types change."""
 
         self._failed: set[str] = set()
-        """Topics whose subscription failed and is tried again: the cause may be temporary."""
+        """Topics with a failed subscription, which is tried again: the cause may be temporary."""
 
         self._awaited: dict[str, str] = {}
-        """Topic without a subscription yet -> its type, which is still loading."""
+        """Topic without a subscription yet -> its loading type."""
 
         self._types = TypeLoader()
         self._looks = count()
@@ -259,7 +255,7 @@ class Tap:
             self._subscribe(name, topic.type_name, [topic.qos])
 
     def reserve(self, topic: OwnTopic) -> ViewSink:
-        """Exclude a topic from subscription; return its sink, to which robotctl writes directly."""
+        """Exclude a topic from subscription. Return its sink, for writing to it directly."""
         name = self._resolve(topic.name)
         self._reserved.add(name)
         return self._open_sink(describe(name, topic.type_name, [topic.qos]))
@@ -331,7 +327,7 @@ class Tap:
         self._leave_out(topic, type_names, problem)
 
     def _await(self, topic: str, type_name: str) -> None:
-        """Remember that the topic's type is loading; note the topic if the load is slow."""
+        """Remember that the topic's type is loading. Note the topic if the load is slow."""
         self._awaited[topic] = type_name
         if self._types.is_slow(type_name):
             problem = f"its type {type_name} is not loaded after {SLOW_LOAD_S:g} s"
@@ -343,7 +339,7 @@ class Tap:
             self.unrecorded.note(topic, f"{short_name(topic)} is not recorded: {problem}")
 
     def _give_up(self, topic: str, type_names: list[str], error: Exception) -> None:
-        """Note why a topic could not be subscribed to, and leave it out until the next attempt."""
+        """Note the reason for a failed subscription, and leave the topic out for now."""
         if isinstance(error, TooManyTopics):
             problem = f"there are {error}"
         elif len(type_names) > 1:
@@ -360,8 +356,10 @@ class Tap:
             self._leave_out(topic, type_names, problem)
 
     def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
-        """Adapt the subscription to its publishers. End it if all publishers have other types, or
-        if there have been none for ABANDONED_S."""
+        """Adapt the subscription to its publishers.
+
+        End it if all publishers have other types, or if there have been none for ABANDONED_S.
+        """
         topic = tapped.topic
         publishers = endpoints.publisher_count(self.node, topic)
         self.mismatches.look(topic, publishers)
@@ -404,7 +402,7 @@ class Tap:
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:
-    """Note since when a topic has no publisher; return whether that is ABANDONED_S ago or more."""
+    """Note the time of a lost last publisher. Return whether it is ABANDONED_S ago or more."""
     now = time.monotonic()
     if tapped.abandoned_since is None:
         tapped.abandoned_since = now
