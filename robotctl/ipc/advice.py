@@ -1,7 +1,4 @@
-"""Texts for the operator of one robot: what is wrong, what to do, and the commands for it.
-
-The kernel knows neither robot names nor commands: its decisions contain remedies as data.
-"""
+"""Texts for the operator of one robot: problems, remedies, and the commands for them."""
 
 from __future__ import annotations
 
@@ -43,13 +40,13 @@ CONDITIONS: Final = {
     Cause.COMMAND_TYPES_MIXED: "one type of command wanted",
     Cause.TOPIC_TROUBLE: "topics of others as expected",
 }
-"""Cause -> the start condition that is not met while the cause applies, in words."""
+"""Cause -> words for the start condition that is not met while the cause applies."""
 
 
 _COMMAND = re.compile(
     r"\brobotctl (logs|reset|set-mode idle|start|status|stop)\b(?! \(uid | --robot )"
 )
-"""Matches a command without `--robot`, but not in the name `robotctl stop (uid 1000)` of a user."""
+"""Matches a command without `--robot`, but not the user name `robotctl stop (uid 1000)`."""
 
 
 class Advice(NamedTuple):
@@ -71,7 +68,7 @@ def advice(text: str, remedies: Iterable[Remedy], robot: str) -> Advice:
 
 
 def for_robot(text: str, robot: str) -> str:
-    """Return `text` with `--robot NAME` after each command; unchanged for the default robot."""
+    """Return `text` with `--robot NAME` after each command, or unchanged for the default robot."""
     return _COMMAND.sub(lambda match: command_for(robot, match[1]), text)
 
 

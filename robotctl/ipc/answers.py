@@ -1,7 +1,6 @@
-"""The answers of the control socket: the stable keys of each method's answer, with their types.
+"""The answers of the control socket, with the stable keys and types of each method's answer.
 
-The daemon builds these objects, and the commands read them. They are sent as JSON: a value that is
-unknown or not finite is null.
+In JSON, a value that is unknown or not finite is null.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ class DriveFigures(TypedDict, total=False):
     heading_rms_rad: float | None
     heading_max_rad: float | None
     closure_m: float | None
-    """How far the last complete lap ended from the path's end; None before the first lap's end."""
+    """The distance from the last complete lap's end to the path's end, None before that."""
     true_cross_track_rms_m: float | None
-    """`true_*` fields are measured with a simulated robot's true pose; None for a real robot."""
+    """`true_*` fields are of a simulated robot's true pose. None for a real robot."""
     true_cross_track_max_m: float | None
     true_heading_rms_rad: float | None
     true_heading_max_rad: float | None
@@ -30,9 +29,9 @@ class DriveFigures(TypedDict, total=False):
 
 
 class DriveFacts(DriveFigures):
-    """The current drive and its errors so far; see `kernel.types.DriveReport`.
+    """The current drive and its errors so far, as in `kernel.types.DriveReport`.
 
-    `laps` is the number of laps to drive. If it is 0, the drive continues until it is stopped.
+    `laps` is the number of laps to drive, or 0 for a drive until stopped.
     """
 
     what: str
@@ -60,14 +59,14 @@ class ModeAnswer(MessageAnswer):
 
 
 class DriveAnswer(ModeAnswer, DriveFigures):
-    """The answer of `drive`, `drive_path`, `drive_velocity`; has DriveFigures only with `wait`."""
+    """The answer of `drive`, `drive_path` and `drive_velocity`. Only `wait` adds DriveFigures."""
 
 
 class HoldAnswer(ModeAnswer):
     """The answer of `hold`. After the first request, `message` is the reason for the mode."""
 
     hold: int
-    """The number of the held motion, for the next request; 0: the motion has ended."""
+    """The number of the held motion, for the next request, or 0 if the motion has ended."""
 
 
 class Hello(TypedDict):
@@ -95,7 +94,7 @@ class VelocityAnswer(TypedDict):
 
 
 class RobotFacts(TypedDict):
-    """The robot's part of `status`. None means unknown; with `--observe`, every field is None."""
+    """The robot's part of `status`. None means unknown. With `--observe`, every field is None."""
 
     mode: str | None
     phase: str | None
@@ -106,15 +105,15 @@ class RobotFacts(TypedDict):
     """From 0 to 1."""
     sim: bool | None
     lease: str | None
-    """The holder of the lease, or None if nobody holds it."""
+    """The holder of the lease, or None."""
     stalls: int | None
     odometry_dropped: int | None
     drive: DriveFacts | None
-    """The current drive, or None if there is none."""
+    """The current drive, or None."""
 
 
 class CountsAnswer(TypedDict):
-    """Counts of messages; their meanings are those of `recording.format.topics.MessageCounts`."""
+    """Counts of messages, as in `recording.format.topics.MessageCounts`."""
 
     written: int
     queued: int
@@ -124,7 +123,7 @@ class CountsAnswer(TypedDict):
 
 
 class TopicAnswer(CountsAnswer):
-    """The counts of one topic with one type; a topic with two types is listed twice."""
+    """The counts of one topic with one type. A topic with two types is listed twice."""
 
     name: str
     type: str
@@ -175,7 +174,7 @@ class Status(RobotFacts, RecordingFacts):
 
 
 class ConditionAnswer(TypedDict):
-    """One start condition; `problem` and `cure` are "" if the condition is met."""
+    """One start condition. `problem` and `cure` are "" if the condition is met."""
 
     cause: str
     condition: str
@@ -191,7 +190,7 @@ class Preflight(TypedDict):
 
 
 class StartSummary(TypedDict):
-    """The object of `robotctl start --json`, which a new daemon sends through its report pipe."""
+    """The object of `robotctl start --json`."""
 
     ready: bool
     robot: str
@@ -214,7 +213,7 @@ class LeaseKept(TypedDict):
 
 
 class LeaseStatus(LeaseKept):
-    """The answer of `lease_status`; if `holder` is None, every client may start motion."""
+    """The answer of `lease_status`. If `holder` is None, every client may start motion."""
 
     holder: str | None
     reason: str
@@ -225,9 +224,9 @@ class Committed(TypedDict):
 
     file: str
     uncommitted: int
-    """The number of messages received before the request that are not in the file yet."""
+    """The number of messages from before the request that are not in the file yet."""
     failure: str
-    """Why the recorder has failed, or ""."""
+    """The reason for the recorder's failure, or ""."""
 
 
 class FileSplit(MessageAnswer):
@@ -245,7 +244,7 @@ class Marked(MessageAnswer):
 
 
 class ParameterAnswer(TypedDict):
-    """One parameter; `value` and `default` are written as in a configuration file."""
+    """One parameter, with `value` and `default` as in a configuration file."""
 
     key: str
     value: bool | int | float | str | list[str]
@@ -254,7 +253,7 @@ class ParameterAnswer(TypedDict):
     """A word for the type: boolean, whole number, number, text, or texts."""
     allowed: str
     changes: str
-    """When the parameter can be changed; see `kernel.ranges.Change`."""
+    """When the parameter can be changed, as in `kernel.ranges.Change`."""
     about: str
 
 
@@ -277,18 +276,18 @@ class SimFaulted(MessageAnswer):
 
     mode: str
     stopped_after_ms: float | None
-    """Time from the fault to the end of MOVING; None if the robot went on or was not moving."""
+    """Time from the fault to the end of MOVING, None if the robot went on or was not moving."""
 
 
 class NameAndTypes(TypedDict):
-    """A topic or a service: its full name and its types (normally one)."""
+    """A topic or a service, with its full name and its types (normally one)."""
 
     name: str
     types: list[str]
 
 
 class Graph(TypedDict):
-    """The names that the daemon sees on ROS; `left_out` counts those that a limit leaves out."""
+    """The names that the daemon sees on ROS. `left_out` counts the names above a limit."""
 
     topics: list[NameAndTypes]
     services: list[NameAndTypes]
@@ -297,9 +296,9 @@ class Graph(TypedDict):
 
 
 class GraphEndpoint(TypedDict):
-    """A publisher or a subscription; `node` is "" while its node is unknown.
+    """A publisher or a subscription. `node` is "" while its node is unknown.
 
-    `qos` has reliability, durability, history and depth; a value unknown to DDS is "unknown" or 0.
+    `qos` has reliability, durability, history and depth. "unknown" and 0 are unknown values.
     """
 
     node: str
@@ -309,7 +308,7 @@ class GraphEndpoint(TypedDict):
 
 
 class GraphTopic(TypedDict):
-    """A topic with its publishers and subscriptions; both lists are empty for an unknown topic."""
+    """A topic with its publishers and subscriptions. Both lists are empty for an unknown topic."""
 
     name: str
     types: list[str]

@@ -1,4 +1,4 @@
-"""The blocking client of the control socket; it needs only the standard library."""
+"""The blocking client of the control socket, on the standard library alone."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CALL_DEADLINE_S = 12.0
 """Longer than the server's usual deadline, so that the server's timeout error still arrives."""
 
 LIVENESS_S = 5.0
-"""The period with which a call without a deadline checks that the daemon still replies."""
+"""The time between two checks, in a call without a deadline, that the daemon still replies."""
 
 _RECEIVE_BYTES = 65536
 _TIMEVAL = struct.Struct("ll")
@@ -47,7 +47,7 @@ A = TypeVar("A")
 
 
 class NoAnswer(NoDaemon):
-    """A running daemon did not reply; it may or may not carry out the request."""
+    """A running daemon did not reply. It may or may not carry out the request."""
 
 
 @overload
@@ -73,15 +73,15 @@ def call(
     *,
     deadline_s: float | None = CALL_DEADLINE_S,
 ) -> object:
-    """Open a connection, make one call and return its result; see Client.call."""
+    """Open a connection, make one call and return its result, as `Client.call` does."""
     with Client(robot) as client:
         return client.call(method, params, deadline_s=deadline_s)
 
 
 class Client:
-    """A connection to the daemon of `robot`.
+    """A connection to the daemon of `robot`, open within the `with` block.
 
-    The `with` statement connects. After a call has raised NoDaemon, open a new client.
+    After a call has raised NoDaemon, open a new client.
 
     Raises:
         NoDaemon: The socket does not exist, or no process listens on it.
@@ -161,8 +161,8 @@ class Client:
     ) -> object:
         """Call `method` in the daemon and return its result.
 
-        If `deadline_s` is None, wait without limit, but check every LIVENESS_S, by a hello on
-        another connection, that the daemon still replies.
+        If `deadline_s` is None, wait without limit while the daemon replies to a hello every
+        LIVENESS_S.
 
         Raises:
             NoAnswer: The daemon did not answer in time, or closed the connection.
@@ -194,7 +194,7 @@ class Client:
             raise RobotctlError(f"the daemon of robot {self._robot!r} answered: {error}") from error
 
     def _greet(self, until: float | None) -> Refused | None:
-        """Read the reply to hello; return the refusal, or None if the client is accepted."""
+        """Read the reply to hello. Return the refusal, or None if the client is accepted."""
         try:
             version = self._result(_HELLO_ID, until).get("protocol")
         except Refused as refusal:
@@ -269,7 +269,7 @@ class Client:
 
 
 def no_daemon(robot: str) -> NoDaemon:
-    """Return the error for a `robot` without a daemon; its advice is the command to start one."""
+    """Return the error for a `robot` without a daemon, with the command to start one."""
     return NoDaemon(
         f"no daemon for robot {robot!r}",
         f"start one with: {command_for(robot, 'start')}",
@@ -278,7 +278,7 @@ def no_daemon(robot: str) -> NoDaemon:
 
 
 def command_for(robot: str, command: str) -> str:
-    """Return the line that runs `command` for `robot`, without `--robot` for the default robot."""
+    """Return the command line of `command` for `robot`, without `--robot` for the default robot."""
     return f"robotctl {command}" + ("" if robot == DEFAULT_ROBOT else f" --robot {robot}")
 
 

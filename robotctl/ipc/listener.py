@@ -1,4 +1,4 @@
-"""The socket at which a daemon listens, for its user or a group; reopened if it is lost."""
+"""The socket at which a daemon listens, for its user or a group."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ def socket_group(name: str) -> SocketGroup | None:
 
 
 def open_folder(path: Path, group: SocketGroup | None) -> None:
-    """Open the folder of the socket `path` to `group` or, if `group` is None, only to the owner.
+    """Open the folder of the socket `path` to `group`, or only to the owner if `group` is None.
 
-    If `group` is None, a folder that another robot shares with its group stays shared.
+    Without `group`, a folder that another robot shares with its group stays shared.
 
     Raises:
         UsageError: The folder is shared with another group, or `group` cannot reach it.
@@ -98,11 +98,8 @@ def _check_reachable(base: Path, group: SocketGroup) -> None:
 
 
 async def until_readable(sock: socket.socket) -> None:
-    """Wait until `sock` has data to read, or a connection to accept.
-
-    Nothing is read from the socket, so no data are lost if the waiting task is cancelled just when
-    data arrive. With `loop.sock_recv` and `loop.sock_accept`, data could be lost.
-    """
+    """Wait until `sock` has data to read, or a connection to accept."""
+    # Not `loop.sock_recv` or `loop.sock_accept`, which may lose data when the task is cancelled.
     loop = asyncio.get_running_loop()
     readable = loop.create_future()
     loop.add_reader(sock, _wake, readable)
@@ -129,12 +126,13 @@ def _wake(waiting: asyncio.Future[None]) -> None:
 
 _log = logging.getLogger(__name__)
 
+# A burst of this size must not fail. With a full backlog, asyncio's connect returns a socket that
+# is not connected.
 BACKLOG = 1024
-"""How many clients may wait to be accepted; a burst of this size must not fail. With a full
-backlog, asyncio's connect returns a socket that is not connected."""
+"""The number of clients that may wait to be accepted."""
 
 LOOK_S = 1.0
-"""The period of the check that the socket file was not removed or replaced."""
+"""The time between two checks that the socket file was not removed or replaced."""
 
 _OUT_OF_RESOURCES = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 _RETRY_ACCEPT_S = 0.1
@@ -149,10 +147,10 @@ class Listener:
         self._id = (0, 0)
         self._sock: socket.socket
         self._spare: int | None = None
-        """A descriptor that is closed when no other is free, to accept one more client."""
+        """A reserved descriptor, closed to accept a client when no other is free."""
 
     def open(self) -> None:
-        """Bind and listen; from now on clients can connect.
+        """Bind and listen. From now on clients can connect.
 
         Raises:
             UsageError: Another user owns the folder, the group cannot use it, or `path` is a file.
@@ -192,9 +190,8 @@ class Listener:
     async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
         """Wait for the next client and return its socket.
 
-        If the process has no free descriptor, the reserved one is closed. If none is reserved,
-        `make_room` is called, which returns whether it closed a connection. This is repeated until
-        a descriptor is free.
+        If no descriptor is free, not even the reserved one, `make_room` is called, which returns
+        whether it closed a connection.
         """
         self._keep_spare()
         while True:
@@ -213,16 +210,14 @@ class Listener:
                     raise
 
     async def lost(self) -> None:
-        """Wait until clients can no longer reach this process at the path.
-
-        A logout may remove the folder, a cleanup job may remove old files, another user may get
-        control of the folder, or another process may replace the file.
-        """
+        """Wait until clients can no longer reach this process at the path."""
+        # A logout may remove the folder, a cleanup job may remove old files, another user may get
+        # control of the folder, or another process may replace the file.
         while self._is_in_place():  # noqa: ASYNC110 - nothing announces it
             await asyncio.sleep(LOOK_S)
 
     async def reopen(self, on_failure: Callable[[str], None]) -> None:
-        """Retry `open` until it succeeds; when it fails for a new reason, call `on_failure`."""
+        """Retry `open` until it succeeds. Call `on_failure` for each new reason of a failure."""
         self._sock.close()
         said = ""
         while True:
@@ -241,7 +236,7 @@ class Listener:
                 self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
     def _give_up_spare(self) -> bool:
-        """Close the reserved descriptor; return whether there was one."""
+        """Close the reserved descriptor, and return whether there was one."""
         if self._spare is None:
             return False
         os.close(self._spare)

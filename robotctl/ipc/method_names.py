@@ -1,12 +1,10 @@
-"""The methods of the control socket that commands call, each with the type of its answer.
-
-The types are imported for type checking only, so that `robotctl status` starts faster.
-"""
+"""The methods of the control socket that commands call, each with the type of its answer."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
+# For type checking only, so that `robotctl status` starts faster.
 if TYPE_CHECKING:
     from robotctl.ipc.answers import (
         Committed,
@@ -34,7 +32,7 @@ A_co = TypeVar("A_co", covariant=True)
 
 
 class MethodName(str, Generic[A_co]):
-    """The name of a method; its answer has the type `A_co`."""
+    """The name of a method. Its answer has the type `A_co`."""
 
     __slots__ = ()
 
@@ -70,4 +68,4 @@ OF_A_ROBOT: Final = (
     *(PREFLIGHT, PATH, SET_MODE, RESET, DRIVE, DRIVE_PATH, DRIVE_VELOCITY, END_DRIVE, HOLD),
     *(LEASE_TAKE, LEASE_KEEP, LEASE_RELEASE, LEASE_STATUS, PARAM_SET, SIM_SET, SIM_FAULT),
 )
-"""The methods of a daemon that drives; one that only observes refuses each of them."""
+"""The methods of a daemon that drives. A daemon that only observes refuses each of them."""

@@ -1,4 +1,4 @@
-"""The parameters of each method with their limits. The server decodes them once, strictly."""
+"""The parameters of each method with their limits."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Reason = Annotated[str, Meta(max_length=MAX_REASON, pattern=REASON_PATTERN)]
 """The reason for the request, for the journal and the log."""
 
 Token = Annotated[str, Meta(min_length=16, max_length=64)]
-"""The token of a lease: a secret by which its holder is recognized."""
+"""The token of a lease, a secret of its holder."""
 
 MAX_TURNING_RPS = 20.0
 """The largest allowed value of `limits.angular_rps` [rad/s]."""
@@ -75,7 +75,7 @@ class ResetParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EndDriveParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `end_drive`, which ramps down to IDLE; it only has an effect in MOVING."""
+    """The parameters of `end_drive`, which ramps down to IDLE. It has an effect only in MOVING."""
 
     source: Source
 
@@ -117,7 +117,7 @@ class SimFaultParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MotionParams(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The common parameters of requests for a motion; `wait`: reply only at the motion's end."""
+    """The common parameters of requests for a motion. With `wait`, the motion's end is awaited."""
 
     source: Source
     replace: bool = False
@@ -127,20 +127,20 @@ class MotionParams(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class CourseParams(MotionParams, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How a pattern or path is driven; None stands for a default.
+    """The common parameters of `drive` and `drive_path`. None stands for a default.
 
-    The configuration sets the default speed, and a speed limit that may be below MAX_SPEED_MPS.
+    The configuration may limit the speed below MAX_SPEED_MPS.
     """
 
     reverse: bool = False
     open_loop: bool = False
     laps: Annotated[int, Meta(ge=0, le=MAX_LAPS)] | None = None
-    """The number of laps; 0: drive until stopped."""
+    """The number of laps, or 0 to drive until stopped."""
     speed_mps: Annotated[float, Meta(ge=MIN_SPEED_MPS, le=MAX_SPEED_MPS)] | None = None
 
 
 class DriveParams(CourseParams, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `drive`: a pattern and its sizes; None stands for a default."""
+    """The parameters of `drive`: a pattern and its sizes. None stands for a default."""
 
     pattern: PatternKind
     side_m: Size | None = None
@@ -151,7 +151,7 @@ class DriveParams(CourseParams, frozen=True, forbid_unknown_fields=True):
 
 
 class DrivePathParams(CourseParams, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `drive_path`: waypoints (x, y) [m] in `frame`; by default 1 lap."""
+    """The parameters of `drive_path`: waypoints (x, y) [m] in `frame`, by default for 1 lap."""
 
     points: Annotated[list[tuple[float, float]], Meta(min_length=2, max_length=MAX_POINTS)]
     frame: Frame = Frame.START
@@ -174,13 +174,13 @@ class HoldParams(Struct, frozen=True, forbid_unknown_fields=True):
     angular_rps: Annotated[float, Meta(ge=-MAX_TURNING_RPS, le=MAX_TURNING_RPS)]
     source: Source
     hold: Annotated[int, Meta(ge=0)] = 0
-    """0 begins a motion; the number in the answer, sent again, keeps that motion going."""
+    """0 to begin a motion, or the number in the answer to keep that motion going."""
     reason: Reason = ""
     lease: Token | None = None
 
 
 class LeaseTakeParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `lease_take`: the client chooses the token and keeps it secret."""
+    """The parameters of `lease_take`. The client chooses the token and keeps it secret."""
 
     token: Token
     source: Source
@@ -201,7 +201,7 @@ class LeaseReleaseParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LeaseStatusParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The parameters of `lease_status`, which says whether `token` is the token of the lease."""
+    """The parameters of `lease_status`: a token to compare with that of the lease."""
 
     token: Token | None = None
 
@@ -213,7 +213,7 @@ def decode(given: dict[str, Any], kind: type[P]) -> P:
     """Return the parameters as an object of `kind`.
 
     Raises:
-        UsageError: A parameter is unknown, missing or not allowed; the message names it.
+        UsageError: A parameter is unknown, missing or not allowed.
     """
     try:
         return msgspec.convert(given, type=kind)

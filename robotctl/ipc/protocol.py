@@ -3,10 +3,7 @@
     bytes -> LineBuffer.receive -> LineBuffer.next_line -> parse_request / parse_response
     request / result / error -> encode_* -> bytes with their newline
 
-Parsing is strict: a line that is not exactly one well-formed message raises ProtocolError and no
-other exception. There are no batches and no notifications: each request gets one reply.
-
-The messages are NamedTuples because `dataclasses` imports `inspect`, which takes 10 ms.
+Each request gets one reply. There are no batches and no notifications.
 """
 
 from __future__ import annotations
@@ -26,17 +23,17 @@ from robotctl.base.trust import ROOT_UID
 PROTOCOL_VERSION = 1
 
 MAX_REQUEST_BYTES = 64 * 1024
-"""Enough for the longest request of a command: `drive_path` with 2,000 points of 24 bytes."""
+"""Room for the longest request, `drive_path` with 2,000 points of 24 bytes."""
 
 MAX_RESPONSE_BYTES = 8 * 1024 * 1024
-"""Enough for the longest answers: `graph` with 15,000 names, and `path` with 20,000 points."""
+"""Room for the longest answers, `graph` with 15,000 names and `path` with 20,000 points."""
 
 MAX_DEPTH = 16
-"""Limit on nested brackets, since the decoder recurses; the answer of `path` has the most: 4."""
+"""Limit on nested brackets, as the decoder recurses. The answer of `path` has the most, 4."""
 
 MAX_ID_LENGTH = 64
 MAX_ID = 2**53
-"""Every JSON implementation represents integers up to this one exactly."""
+"""The largest integer that every JSON implementation represents exactly."""
 
 EMERGENCY_STOP_MODE = 3
 
@@ -50,7 +47,7 @@ REASON_PATTERN = r"^[^\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]*\Z"
 """Excludes characters that move the cursor, end the line or change the text direction."""
 
 MAX_GRAPH_NAME = 255
-"""In characters; a longer name does not fit into a discovery message of Fast DDS."""
+"""In characters. A discovery message of Fast DDS has no room for a longer name."""
 
 
 class Code(IntEnum):
@@ -70,7 +67,7 @@ class Code(IntEnum):
 
 
 class ProtocolError(RobotctlError):
-    """A received line is not a valid message; `request_id` is None if the line has no valid id."""
+    """A received line is not a valid message. `request_id` is None without a valid id."""
 
     def __init__(self, code: Code, text: str, request_id: int | str | None = None) -> None:
         super().__init__(text)
@@ -78,8 +75,9 @@ class ProtocolError(RobotctlError):
         self.request_id = request_id
 
 
+# A NamedTuple: `dataclasses` imports `inspect`, which takes 10 ms.
 class Request(NamedTuple):
-    """A call; the peer sends exactly one reply with the same `id`."""
+    """A call. The peer sends exactly one reply with the same `id`."""
 
     id: int | str
     method: str
@@ -94,7 +92,7 @@ class Result(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """The reply to a request that failed; `id` is None if the request had no valid id."""
+    """The reply to a request that failed. `id` is None if the request had no valid id."""
 
     id: int | str | None
     code: int
@@ -150,7 +148,7 @@ def encode_error(
 ) -> bytes:
     """Encode one error line.
 
-    The client's process exits with `exit_code`; `details` come from a RobotctlError.
+    `exit_code` is the exit code for the client's process. `details` come from a RobotctlError.
 
     Raises:
         ValueError: `details` contains NaN or infinity.
@@ -163,7 +161,7 @@ def parse_request(line: bytes) -> Request:
     """Parse one request line.
 
     Raises:
-        ProtocolError: The line is not a request; no other exception is raised.
+        ProtocolError: The line is not a request.
     """
     message = _parse_object(line)
     request_id = _id(message)
@@ -186,7 +184,7 @@ def parse_response(line: bytes) -> Result | Failure:
     """Parse one reply line.
 
     Raises:
-        ProtocolError: The line is not a reply; no other exception is raised.
+        ProtocolError: The line is not a reply.
     """
     message = _parse_object(line)
     request_id = _id(message)
@@ -206,7 +204,7 @@ def parse_response(line: bytes) -> Result | Failure:
 
 
 def is_emergency_stop(request: Request) -> bool:
-    """Return whether `request` is an emergency stop: it needs no hello and no free connection."""
+    """Return whether `request` is an emergency stop, which the server always admits."""
     mode = request.params.get("mode")
     return request.method == "set_mode" and type(mode) is int and mode == EMERGENCY_STOP_MODE
 
@@ -230,7 +228,7 @@ def _id(message: dict[str, Any]) -> int | str | None:
 
 
 def _parse_object(line: bytes) -> dict[str, Any]:
-    """Decode one JSON-RPC object; refuse duplicate members, NaN, infinity and deep nesting."""
+    """Decode one JSON-RPC object. Refuse duplicate members, NaN, infinity and deep nesting."""
     _check_depth(line)
     try:
         message = _DECODER.decode(line.decode())
@@ -289,14 +287,14 @@ _DECODER = json.JSONDecoder(
 _UCRED = struct.Struct("iII")
 
 SO_PEERGROUPS: Final = 59
-"""A socket option of asm-generic/socket.h that Python does not define."""
+"""A socket option of asm-generic/socket.h that Python lacks."""
 
 _GROUPS_BYTES: Final = 1024
-"""The largest buffer that Python's `getsockopt` accepts; it has room for 256 groups."""
+"""The largest buffer for Python's `getsockopt`, with room for 256 groups."""
 
 
 class Peer(NamedTuple):
-    """A process (struct ucred of unix(7)); if it is in another pid namespace, `pid` is 0."""
+    """A process (struct ucred of unix(7)). `pid` is 0 for a process in another pid namespace."""
 
     pid: int
     uid: int
@@ -304,13 +302,13 @@ class Peer(NamedTuple):
 
 
 def peer_of(sock: socket.socket) -> Peer:
-    """Return the process at the other end of the socket, where it called `connect` or `listen`."""
+    """Return the process at the other end, as it was at its `connect` or `listen`."""
     raw = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _UCRED.size)
     return Peer(*_UCRED.unpack(raw))
 
 
 def groups_of(sock: socket.socket) -> frozenset[int]:
-    """Return the gids of the process at the other end; if it has over 256, only its primary gid."""
+    """Return the gids of the process at the other end. Above 256, return only the primary gid."""
     primary = peer_of(sock).gid
     try:
         raw = sock.getsockopt(socket.SOL_SOCKET, SO_PEERGROUPS, _GROUPS_BYTES)
@@ -320,6 +318,6 @@ def groups_of(sock: socket.socket) -> frozenset[int]:
 
 
 def guest_of(sock: socket.socket) -> int | None:
-    """Return the uid of the process at the other end, or None if the uid is root's or our own."""
+    """Return the uid of the process at the other end, or None if it is root's or our own."""
     uid = peer_of(sock).uid
     return None if uid in (ROOT_UID, os.getuid()) else uid

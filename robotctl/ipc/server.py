@@ -1,4 +1,4 @@
-"""The control socket of a daemon: accepts permitted clients up to a limit, and answers them."""
+"""The control socket of a daemon, which answers permitted clients up to a limit."""
 
 from __future__ import annotations
 
@@ -42,20 +42,18 @@ class ClientLimits:
     """Limits on the connections, and on the time for each request and reply."""
 
     clients: int = 64
-    """The number of connections with full service; further ones get the error "busy"."""
+    """The number of connections with full service. Further ones get the error "busy"."""
+    # `clients` + `overflow` is well below 1,024 open files, the usual limit of a process.
     overflow: int = 256
-    """The maximum number of connections beyond `clients`; each may send one emergency stop.
-
-    To accept one more, the daemon closes the oldest idle one of them. `clients` + `overflow` is
-    well below 1,024 open files, the usual limit of a process."""
+    """The number of connections beyond `clients`, each for one emergency stop."""
     request_s: float = 10.0
-    """A client must send a whole request within this time after it has connected or got a reply."""
+    """The time for a whole request, after the client has connected or got a reply."""
     overflow_request_s: float = 1.0
     """As `request_s`, for a connection beyond `clients`."""
     write_s: float = 5.0
-    """A client that does not read a reply within this time is disconnected."""
+    """The time in which a client must read a reply."""
     hangup_poll_s: float = 0.1
-    """The period of the check that the client of a call without deadline is still connected."""
+    """The time between two checks that the client of a call without deadline is still connected."""
 
 
 DEFAULT_LIMITS = ClientLimits()
@@ -66,17 +64,17 @@ P = TypeVar("P")
 
 @dataclass(frozen=True, slots=True)
 class Method(Generic[P]):
-    """A method: its parameters, its handler, and the handler's deadline.
+    """A method with its parameters, its handler and the handler's deadline.
 
-    The handler is called in the loop with the decoded parameters. A RobotctlError that it raises
-    is sent to the client with its text and exit code. The handler is cancelled at its deadline or,
-    if it has none, when its client disconnects: its state must be consistent at every await.
+    The handler runs in the loop. A RobotctlError from it is sent to the client. It is cancelled at
+    its deadline or, without one, when its client disconnects: its state must be consistent at every
+    await.
     """
 
     params: type[P]
     handler: Callable[[P], Awaitable[object]]
     deadline_s: float | None = 10.0
-    """The handler's deadline [s]; None: no deadline while the client stays connected."""
+    """The handler's deadline [s], or None for none while the client stays connected."""
 
 
 _log = logging.getLogger(__name__)
@@ -86,7 +84,7 @@ _encoder = msgspec.json.Encoder()
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """The daemon's identity, which `hello` returns to the client."""
+    """The daemon's identity in the answer to `hello`."""
 
     robot: str
     version: str
@@ -110,9 +108,10 @@ def encode_failure(request_id: int | str | None, code: Code, error: RobotctlErro
 def log_failure(what: str) -> None:
     """Log the exception that is being handled, with `what` as the message.
 
-    A MemoryError is passed to the loop's exception handler, because it concerns the whole daemon.
+    A MemoryError goes to the loop's exception handler instead.
     """
     error = sys.exception()
+    # It concerns the whole daemon.
     if isinstance(error, MemoryError):
         context = {"message": what, "exception": error}
         asyncio.get_running_loop().call_exception_handler(context)
@@ -129,7 +128,7 @@ def _decode(request: Request, kind: type[P]) -> P:
 
 
 def _encode_result(request_id: int | str, result: object) -> bytearray:
-    """Encode one reply line; NaN and infinity, which stand for unknown values, become null."""
+    """Encode one reply line. NaN and infinity, for unknown values, become null."""
     line = bytearray()
     _encoder.encode_into({"jsonrpc": "2.0", "id": request_id, "result": result}, line)
     line += b"\n"
@@ -147,7 +146,7 @@ def _internal_error(request: Request) -> bytes:
 class Connection:
     """Serves one client until a disconnect, a missed deadline or an overlong line.
 
-    With `over_cap` (too many clients) it serves only two lines: hello and an emergency stop.
+    With `over_cap` (too many clients) it serves only two lines, hello and an emergency stop.
     """
 
     def __init__(
@@ -169,11 +168,11 @@ class Connection:
         self._is_listening = False
 
     def is_idle(self) -> bool:
-        """Return whether everything that the client has sent is read and answered."""
+        """Return whether everything from the client is read and answered."""
         return self._is_listening and not has_event(self._sock, select.POLLIN)
 
     def dismiss(self) -> None:
-        """Send the error "busy", without waiting; the caller then closes the connection."""
+        """Send the error "busy", without waiting. The caller then closes the connection."""
         self._say_last(None, Code.BUSY, self._busy())
 
     async def run(self) -> None:
@@ -192,7 +191,7 @@ class Connection:
                 lines_left -= 1
 
     async def refuse(self, code: Code, error: RobotctlError) -> None:
-        """Send `error` to the client; then the caller closes the connection."""
+        """Send `error` to the client. The caller then closes the connection."""
         await self._send(encode_failure(None, code, error))
 
     async def _answer(self, line: bytes) -> bytes | bytearray:
@@ -207,7 +206,7 @@ class Connection:
             raise
 
     async def _read_line(self) -> bytes | None:
-        """Return the next line; None after a disconnect, a missed deadline or an overlong line."""
+        """Return the next line. None after a disconnect, a missed deadline or an overlong line."""
         limits = self._limits
         deadline_s = limits.overflow_request_s if self._over_cap else limits.request_s
         try:
@@ -232,7 +231,7 @@ class Connection:
     async def _receive(self) -> bytes:
         """Read like `loop.sock_recv`, but leave the data in the socket if the read is cancelled.
 
-        Other tasks get a turn first, even if data have arrived already.
+        Other tasks get a turn first.
         """
         while True:
             self._is_listening = True
@@ -244,7 +243,7 @@ class Connection:
                 return self._sock.recv(MAX_REQUEST_BYTES)
 
     async def _send(self, line: bytes | bytearray) -> None:
-        """Send a reply within `write_s`; other tasks run only if the socket's buffer is full."""
+        """Send a reply within `write_s`. Other tasks run only if the socket's buffer is full."""
         async with asyncio.timeout(self._limits.write_s):
             await asyncio.get_running_loop().sock_sendall(self._sock, line)
 
@@ -323,7 +322,7 @@ class Connection:
         }
 
     def _vouched(self, params: P) -> P:
-        """Return `params`; if another user is connected, append that user's uid to `source`."""
+        """Return `params`, with another user's uid appended to `source`."""
         guest, source = guest_of(self._sock), getattr(params, "source", None)
         if guest is None or source is None:
             return params
@@ -339,16 +338,13 @@ class Connection:
 
     @contextmanager
     def _until_hangup(self, deadline: asyncio.Timeout) -> Iterator[None]:
-        """Within the `with` block, make `deadline` expire when the client has disconnected.
-
-        The end of the client's stream does not show a disconnect: the client may have closed only
-        its sending half. So the state of the socket is polled.
-        """
+        """Make `deadline` expire when the client disconnects within the `with` block."""
         loop, period_s = asyncio.get_running_loop(), self._limits.hangup_poll_s
         timer: asyncio.TimerHandle
 
         def look() -> None:
             nonlocal timer
+            # Not the end of the client's stream: the client may have closed only its sending half.
             if has_event(self._sock, 0):
                 deadline.reschedule(loop.time())
             else:
@@ -362,13 +358,13 @@ class Connection:
 
 
 _FULL_POLL_S = 0.005
-"""How often [s] to look for a connection that can be closed, while a new client waits."""
+"""The time between two looks for a connection to close, while a new client waits."""
 
 
 class ControlServer:
-    """Listens at the control socket in the `with` block; answers clients while `serve` runs.
+    """Listens at the control socket in the `with` block, and answers clients while `serve` runs.
 
-    It replaces the socket file of a dead daemon at `path`. The caller must own the robot's lock.
+    The caller must own the robot's lock.
 
         with ControlServer(path, methods, identity) as server:
             tasks.create_task(server.serve())
@@ -398,7 +394,7 @@ class ControlServer:
         """Connections above the limit, the oldest first."""
 
     def __enter__(self) -> Self:
-        """Listen; from now on clients can connect. Raises what Listener.open raises."""
+        """Listen. From now on clients can connect. Raises as `Listener.open` does."""
         self._listener.open()
         return self
 
@@ -406,7 +402,7 @@ class ControlServer:
         self._listener.close()
 
     async def serve(self) -> None:
-        """Answer clients until cancelled; then close every connection."""
+        """Answer clients until cancelled, and then close every connection."""
         async with asyncio.TaskGroup() as tasks:
             while True:
                 accepting = tasks.create_task(self._accept_clients(tasks))
@@ -420,7 +416,7 @@ class ControlServer:
                 self._on_unreachable("")
 
     def warning(self) -> str:
-        """Return a sentence on how often the socket was lost, or "" if it never was."""
+        """Return a sentence on the losses of the socket, or "" if there were none."""
         if not self._lost:
             return ""
         times = "once" if self._lost == 1 else f"{self._lost} times"
@@ -465,10 +461,8 @@ class ControlServer:
         return self._admitted >= limits.clients and len(self._overflow) >= limits.overflow
 
     def _dismiss_idle(self) -> bool:
-        """Close the oldest idle connection above the limit; return whether there was one.
-
-        This makes room for an emergency stop even if many silent connections are open.
-        """
+        """Close the oldest idle connection above the limit, and return whether there was one."""
+        # This makes room for an emergency stop even if many silent connections are open.
         for task, connection in self._overflow.items():
             if connection.is_idle():
                 connection.dismiss()
@@ -478,7 +472,7 @@ class ControlServer:
         return False
 
     async def _handle(self, sock: socket.socket, connection: Connection) -> None:
-        """Serve one client; no failure here affects the others."""
+        """Serve one client. No failure here affects the others."""
         try:
             uid = guest_of(sock)
             if uid is None or (self._group is not None and self._group.gid in groups_of(sock)):
