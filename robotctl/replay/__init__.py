@@ -1,1 +1,1 @@
-"""Plays recordings to ROS with their timing, in a separate process (`-m robotctl.replay`)."""
+"""Plays recordings to ROS with their timing, in a process of its own."""

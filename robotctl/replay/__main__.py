@@ -1,8 +1,8 @@
 """`python -m robotctl.replay --report-fd N`: play the job on stdin, and report progress on N.
 
-Each report is one line of JSON with one of the keys "note", "waiting", "start", "progress" and
-"summary", or with "error", "exit_code" and details. More lines on stdin control the replay
-(robotctl.replay.playback_control). When stdin ends, the replay stops, so it ends with its parent.
+Each report is one line of JSON with the key "note", "waiting", "start", "progress" or "summary", or
+with "error", "exit_code" and details. More lines on stdin control the replay. It stops when stdin
+ends.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 NODE_NAME = "robotctl_replay"
 
 SWITCH_INTERVAL_S = 1e-4
-"""The longest time that the player's thread waits for the GIL [s]; Python's default is 5 ms."""
+"""The longest time [s] that the player's thread waits for the GIL. Python's default is 5 ms."""
 
 
 def main(arguments: list[str]) -> int:
@@ -40,7 +40,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _main(arguments: list[str], at_end: ExitStack) -> int:
-    """Play one job; push what must be closed last to `at_end`."""
+    """Play one job, and push what must be closed last to `at_end`."""
     note = environment.prepare()
     emit = partial(_emit, report_fd(arguments))
     sys.setswitchinterval(SWITCH_INTERVAL_S)
@@ -73,7 +73,7 @@ def _main(arguments: list[str], at_end: ExitStack) -> int:
 
 
 def _play(job: str, membership: Membership, lines: Iterator[bytes], emit: Emit) -> None:
-    """Play `job`, a line from `Job.to_json`; `lines` are the commands during the replay."""
+    """Play `job`, a line from `Job.to_json`, under the commands in `lines`."""
     # Discovery goes on during these imports.
     from robotctl.replay.job import Job
     from robotctl.replay.playback_control import command_of
@@ -94,17 +94,16 @@ def _play(job: str, membership: Membership, lines: Iterator[bytes], emit: Emit) 
 
 
 def _lines() -> Iterator[bytes]:
-    """Yield the lines of stdin. Reads are unbuffered: a blocked buffered read delays the exit."""
+    """Yield the lines of stdin."""
+    # Unbuffered: a blocked buffered read delays the exit.
     lines = LineSplitter()
     while piece := os.read(0, 1 << 16):
         yield from lines.feed(piece)
 
 
 def _emit(descriptor: int, message: dict[str, Any]) -> None:
-    """Write a report. Ignore a closed pipe: stdin has then ended as well, which stops the replay.
-
-    Drop a progress report if the reader is too slow, because waiting would delay safety checks.
-    """
+    """Write a report. Drop it if the pipe is closed, or if it is progress for a slow reader."""
+    # Waiting would delay the safety checks.
     if "progress" in message and not select.select([], [descriptor], [], 0)[1]:
         return
     with suppress(BrokenPipeError):

@@ -24,12 +24,12 @@ _TOPIC_NAME = re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*", re.ASCII)
 class Job:
     """What to play, and how.
 
-    - `rate`: recorded seconds per second; None: as fast as subscribers accept the messages.
-    - `topics`, `regex`: play each topic that one of them selects; every topic if both are empty.
+    - `rate`: recorded seconds per second, or None for as fast as subscribers accept.
+    - `topics`, `regex`: play each topic that one of them selects, or all if both are empty.
     - `exclude`: never play these topics.
     - `start_offset_s`, `duration_s`: the part to play, in recorded time after the first message.
-    - `delay_s`: the real time to wait before the first message is sent.
-    - `wait_for`: the number of subscriptions, over all topics, to wait for before sending.
+    - `delay_s`: the real time before the first message.
+    - `wait_for`: the number of subscriptions to wait for, over all topics.
     - `original_names`: play under the recorded names, even in a domain with a daemon.
     - `changed_types`: also play topics whose recorded type differs from the installed one.
     """
@@ -60,7 +60,7 @@ class Job:
 
     @classmethod
     def from_json(cls, line: str) -> Self:
-        """Return the job that `to_json` wrote in `line`."""
+        """Return the job in `line`, which `to_json` wrote."""
         fields: dict[str, Any] = json.loads(line)
         for name in ("topics", "exclude"):
             fields[name] = tuple(fields[name])
@@ -69,7 +69,7 @@ class Job:
 
 
 def parse_rate(text: str) -> float | None:
-    """Return the rate in `text`, the value of `--rate`; None if `text` is `max`.
+    """Return the rate in `text`, the value of `--rate`. None if `text` is `max`.
 
     Raises:
         UsageError: `text` is neither `max` nor a number from MIN_RATE to MAX_RATE.

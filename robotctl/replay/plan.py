@@ -1,4 +1,4 @@
-"""Selects the topics of a recording to play, and their names."""
+"""The topics of a recording to play, and their names."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ _EVENT_TYPE = re.compile(r"[^/]+/srv/[^/]+_Event")
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """A recorded topic, and the name of the topic or service to which its messages are sent."""
+    """A recorded topic, and the name of the topic or service that gets its messages."""
 
     topic: TopicInfo
     name: str
     requests: bool = False
-    """Whether the topic has introspection events of a service, whose requests are sent again."""
+    """Whether the messages are introspection events of a service, with requests to send again."""
 
 
 def absolute(name: str, prefix: str = "") -> str:
-    """Return the absolute name of the recorded topic `name`, preceded by `prefix`."""
+    """Return the absolute name of the recorded topic `name`, with `prefix` before it."""
     return f"{prefix}/{name.lstrip('/')}"
 
 
 def service_of(topic: TopicInfo) -> str:
-    """Return the service whose introspection events the topic has, "" if it has no such events."""
+    """Return the service of the topic's introspection events, "" if it has no such events."""
     name = absolute(topic.name)
     if name.endswith(_EVENT_TOPIC) and _EVENT_TYPE.fullmatch(topic.type_name):
         return name.removesuffix(_EVENT_TOPIC)
@@ -44,7 +44,7 @@ def service_of(topic: TopicInfo) -> str:
 
 
 def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
-    """Return the topics to play; `job` may name a service instead of its introspection topic.
+    """Return the topics to play. `job` may name a service instead of its introspection topic.
 
     Raises:
         UsageError: A name in --topics is not in the recording.
@@ -66,12 +66,12 @@ def selected(recorded: Sequence[TopicInfo], job: Job) -> list[TopicInfo]:
 
 
 def is_named(topic: TopicInfo, names: Collection[str]) -> bool:
-    """Return whether `names` contains the topic, or the service whose events the topic has."""
+    """Return whether `names` contains the topic, or the service of its introspection events."""
     return not _names(topic).isdisjoint(absolute(name) for name in names)
 
 
 def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job) -> list[Route]:
-    """Return a route for each of the `chosen` topics; its name is remapped but has no prefix yet.
+    """Return a route for each of the `chosen` topics, remapped but without a prefix.
 
     Raises:
         UsageError: A remap names an unknown topic, or joins topics of different types.
@@ -95,11 +95,11 @@ def routes(recorded: Sequence[TopicInfo], chosen: Iterable[TopicInfo], job: Job)
 
 
 def main_types(recorded: Sequence[TopicInfo]) -> tuple[list[TopicInfo], list[str]]:
-    """Return the topics to play, and a sentence about each topic whose messages are left out.
+    """Return the topics to play, and a sentence about each topic with messages left out.
 
-    If over half of the messages with a topic name are of one type, the other types are left out: a
-    node may have used another type until it discovered which type its subscribers want.
+    If over half of the messages of one name have one type, the other types are left out.
     """
+    # A node may use another type until it discovers the type that its subscribers want.
     totals: Counter[str] = Counter()
     for topic in recorded:
         totals[topic.name] += topic.message_count
@@ -117,7 +117,7 @@ def main_types(recorded: Sequence[TopicInfo]) -> tuple[list[TopicInfo], list[str
 
 
 def unplayable(topics: Iterable[TopicInfo]) -> dict[str, str]:
-    """Return the topics that cannot be played on any system, each with the reason."""
+    """Return topic -> reason for the topics that cannot be played on any system."""
     topics = list(topics)
     types = Counter(topic.name for topic in topics)
     reasons = {}

@@ -1,4 +1,4 @@
-"""Pause, rate and single steps of a running replay; usable from any thread."""
+"""Pause, rate and single steps of a running replay, for any thread."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Final, Self
 from robotctl.replay.job import MAX_RATE, MIN_RATE
 
 _STEPS: Final = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-"""The rates that keys select, for each power of ten."""
+"""The rates for keys, for each power of ten."""
 
 RATES: Final = tuple(
     round(step * 10.0**power, 4)
@@ -26,8 +26,8 @@ RATES: Final = tuple(
 class Schedule:
     """Maps recorded time to steady time: `at_ns` (recorded) is due at `moment_ns` (steady).
 
-    From `moment_ns` on, `rate` seconds of the recording are due each second. If `rate` is None,
-    the whole recording is due at once. While `paused`, nothing is due.
+    From `moment_ns` on, `rate` recorded seconds are due each second, or all at once if `rate` is
+    None. While `paused`, nothing is due.
     """
 
     moment_ns: int
@@ -36,19 +36,19 @@ class Schedule:
     paused: bool = False
 
     def due_ns(self, at_ns: int) -> int:
-        """Return the steady time at which recorded time `at_ns` is due on this schedule."""
+        """Return the steady time at which recorded time `at_ns` is due."""
         if self.rate is None:
             return self.moment_ns
         return self.moment_ns + round((at_ns - self.at_ns) / self.rate)
 
     def position_ns(self, now_ns: int) -> int:
-        """Return the recorded time that is due at the steady time `now_ns`."""
+        """Return the recorded time that is due at steady time `now_ns`."""
         if self.paused or self.rate is None:
             return self.at_ns
         return self.at_ns + max(round((now_ns - self.moment_ns) * self.rate), 0)
 
     def changed(self, now_ns: int, **changes: Any) -> Self:
-        """Return a schedule with `changes` that continues from this one's position at `now_ns`."""
+        """Return a schedule with `changes` that continues from the position at `now_ns`."""
         return replace(self, moment_ns=now_ns, at_ns=self.position_ns(now_ns), **changes)
 
 
@@ -75,14 +75,11 @@ class PlaybackControl:
 
     @property
     def schedule(self) -> Schedule:
-        """The current schedule; a change replaces the object."""
+        """The current schedule. A change replaces the object."""
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Start to play at the steady time `moment_ns` or, if playback is paused, after the pause.
-
-        Playback begins at the recorded time 0, whatever position the schedule had before.
-        """
+        """Start to play from recorded time 0 at steady time `moment_ns`, or after a pause."""
         with self._changing:
             self._schedule = replace(self._schedule, moment_ns=moment_ns, at_ns=0)
 
@@ -103,20 +100,20 @@ class PlaybackControl:
         (self.resume if self._schedule.paused else self.pause)()
 
     def faster(self) -> None:
-        """Play at the next higher rate; do nothing if the rate is `max`."""
+        """Play at the next higher rate. At rate `max`, do nothing."""
         self._change_rate(faster)
 
     def slower(self) -> None:
-        """Play at the next lower rate; do nothing if the rate is `max`."""
+        """Play at the next lower rate. At rate `max`, do nothing."""
         self._change_rate(slower)
 
     def step(self) -> None:
-        """Allow one more message during this pause; do nothing if playback is not paused."""
+        """Allow one more message during this pause. Outside a pause, do nothing."""
         with self._changing:
             self._steps += self._schedule.paused
 
     def takes_step(self, at_ns: int) -> bool:
-        """Use a step of this pause for the message at `at_ns`; return False if no step is left."""
+        """Use a step of this pause for the message at `at_ns`. Return False if no step is left."""
         with self._changing:
             if not (self._steps and self._schedule.paused):
                 return False
@@ -132,7 +129,7 @@ class PlaybackControl:
 
 
 class Command(Enum):
-    """A change of playback. A key press or Ctrl-Z sends it to the replay process."""
+    """A change of playback, sent to the replay process by a key press or Ctrl-Z."""
 
     PAUSE = "pause"
     RESUME = "resume"
@@ -142,7 +139,7 @@ class Command(Enum):
     NEXT = "next"
 
     def line(self) -> bytes:
-        """Return the line that passes this command to the replay process."""
+        """Return the line for the replay process."""
         return f"{json.dumps({'do': self.value})}\n".encode()
 
 

@@ -17,11 +17,11 @@ from robotctl.replay.playback_control import PlaybackControl
 from robotctl.replay.timeline import Entry
 
 SPIN_NS: Final = 40_000
-"""How late the scheduler may wake a thread; so the last SPIN_NS of a wait poll the clock."""
+"""The last part of a wait, in which the clock is polled, because a thread may wake late."""
 
 _PR_SET_TIMERSLACK: Final = 29
 _NO_SLACK_NS: Final = 1
-"""The timer slack to set; by default Linux may wake a thread 50 us late to group timers."""
+"""The timer slack to set. By default Linux may wake a thread 50 us late to group timers."""
 
 _TIMER_ABSTIME: Final = 1
 
@@ -77,13 +77,13 @@ class SteadyClock:
 
 
 _SUB_BITS: Final = 5
-"""2**5 = 32 bins per power of two, so a quantile is at most 3 % too high."""
+"""2**5 = 32 bins per power of two, so that a quantile is at most 3 % too high."""
 
 _LARGEST: Final = (1 << 62) - 1
 
 
 class Lateness:
-    """A histogram of delays [ns]; its bins are wider for larger values."""
+    """A histogram of delays [ns], with wider bins for larger values."""
 
     __slots__ = ("_counts", "count", "max_ns")
 
@@ -93,7 +93,7 @@ class Lateness:
         self.max_ns = 0
 
     def add(self, late_ns: int) -> None:
-        """Add one delay [ns]; a negative delay counts as 0."""
+        """Add one delay [ns]. A negative delay counts as 0."""
         late_ns = min(max(late_ns, 0), _LARGEST)
         self._counts[_step(late_ns)] += 1
         self.count += 1
@@ -101,7 +101,7 @@ class Lateness:
             self.max_ns = late_ns
 
     def quantile_us(self, share: float) -> float:
-        """Return the quantile [us] of all delays at `share` (0 to 1); 0 if there are no delays."""
+        """Return the quantile [us] of all delays at `share` (0 to 1), 0 if there are no delays."""
         rank = share * self.count
         seen = 0
         for step, count in enumerate(self._counts):
@@ -123,10 +123,10 @@ def _highest(step: int) -> int:
 
 
 Send = Callable[[bytes], bool | None]
-"""Sends a serialized message; returns whether it was accepted, None if nothing was to be sent."""
+"""Sends a serialized message. Returns whether it was accepted, None if nothing was to be sent."""
 
 LEAD_NS: Final = 5_000_000
-"""Time from the start of playback to the first message, so that the first is on time as well."""
+"""Time from the start of playback to the first message, so that it is on time too."""
 
 SLICE_NS: Final = 50_000_000
 """Maximum delay until a stop or a changed schedule takes effect."""
@@ -134,7 +134,7 @@ SLICE_NS: Final = 50_000_000
 
 @dataclass(slots=True)
 class TopicSender:
-    """The function that sends a topic's messages, and the numbers of sent and failed messages."""
+    """The sender of a topic's messages, with the numbers of sent and failed messages."""
 
     send: Send
     sent: int = 0
@@ -150,7 +150,7 @@ class ClockPublisher:
         self.due_ns = 0
 
     def tick(self, now_ns: int, position_ns: int) -> None:
-        """Send `position_ns` if a tick is due at `now_ns`; ticks that were missed are skipped."""
+        """Send `position_ns` if a tick is due at `now_ns`. Missed ticks are skipped."""
         if now_ns >= self.due_ns:
             self.send(position_ns)
             following_ns = self.due_ns + self.period_ns
@@ -160,7 +160,7 @@ class ClockPublisher:
 class Player:
     """Sends each entry by the `Send` of its topic when it is due, or at once if `rate` is None.
 
-    `run` sends in the thread that calls it; all other members may be used from any thread.
+    `run` sends in the thread that calls it. Any thread may use all other members.
     """
 
     def __init__(
@@ -178,10 +178,10 @@ class Player:
         self.control = PlaybackControl(rate, clock.now_ns, paused=paused)
         self.lateness = Lateness()
         self.position_ns = 0
-        """Time in the replay of the last message that was sent [ns]."""
+        """Time in the replay of the last sent message [ns]."""
 
         self.late_ns = 0
-        """How late the last message with a due time was sent [ns]."""
+        """The delay of the last message with a due time [ns]."""
 
         self._batches = batches
         self._clock = clock
@@ -212,7 +212,7 @@ class Player:
                 self.position_ns = at_ns
 
     def _wait_for(self, at_ns: int) -> int | None:
-        """Wait for the message's due time and return it; None at rate `max`, a step or a stop."""
+        """Wait for the message's due time and return it. None at rate `max`, a step or a stop."""
         clock, control = self._clock, self.control
         while not self._stopped:
             schedule = control.schedule

@@ -22,11 +22,11 @@ STEP_M: Final = 0.005
 """Minimum distance between points of the path."""
 
 MAX_POINTS: Final = 4000
-"""Maximum number of points in the path; if there are more, every second one is removed."""
+"""Maximum number of points in the path. Above it, every second one is removed."""
 
 
 class RecordedRobot:
-    """The state of the robot at a time of the recording. Unknown values are None; `path` is in [m].
+    """The state of the robot at a time of the recording. Unknown values are None, `path` is in [m].
 
     `advance` only goes forward in time. With `loop`, each new pass begins with an empty path.
     """
@@ -61,7 +61,7 @@ class RecordedRobot:
 
     @property
     def next_ns(self) -> int | None:
-        """The replay time at which the next message is due, or None at the end."""
+        """The replay time of the next message, or None at the end."""
         return None if self._next is None else self._next[0]
 
     def status(self) -> dict[str, Any]:

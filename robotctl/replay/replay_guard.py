@@ -17,17 +17,17 @@ ANSWER_DEADLINE_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class RunningDaemon:
-    """A daemon that listens on its socket; `domain_id` and `mode` are None if unknown."""
+    """A daemon that listens on its socket. `domain_id` and `mode` are None if unknown."""
 
     robot: str
     domain_id: int | None
     mode: str | None
     observes: bool = False
-    """Whether it only records, so that a replay cannot disturb it."""
+    """Whether the daemon only records, so that a replay cannot disturb it."""
 
     @property
     def may_be_moving(self) -> bool:
-        """Whether the robot is moving or, because its mode is unknown, may be moving."""
+        """Whether the robot is moving, or its mode is unknown."""
         return self.mode in (None, "MOVING")
 
 
@@ -35,7 +35,7 @@ def running_daemons() -> list[RunningDaemon]:
     """Return each daemon with a socket in this user's runtime folder, ordered by name.
 
     Raises:
-        UsageError: Another user could change the folder, and so could have made the sockets.
+        UsageError: Another user could change the folder.
     """
     folder = runtime_folder()
     chain_to(folder).for_client().check()
@@ -57,7 +57,7 @@ def daemons_in(domain_id: int) -> list[RunningDaemon]:
 
 
 def domain_to_play_in(requested: int | None, robot: str) -> int:
-    """Return `requested` or, if it is None, the domain of the robot's daemon; 0 if none is known.
+    """Return `requested` or, if it is None, the domain of the robot's daemon, or 0 if unknown.
 
     Raises:
         Refused: A process of another user listens in place of the daemon.
@@ -69,7 +69,7 @@ def domain_to_play_in(requested: int | None, robot: str) -> int:
 
 
 def ask(robot: str) -> RunningDaemon | None:
-    """Ask the robot's daemon for its domain and mode; return None if no daemon can be reached.
+    """Return the robot's daemon with its domain and mode, or None if no daemon can be reached.
 
     Raises:
         Refused: A process of another user listens in the daemon's place.
@@ -95,18 +95,18 @@ REPLAY_PREFIX: Final = "/replay"
 """The prefix of all topics of a replay in a domain with a daemon."""
 
 COMMAND_NAME: Final = "cmd_vel"
-"""A topic whose name ends with this part counts as a command topic, whatever its type."""
+"""The last part of a command topic's name, whatever its type."""
 
 
 class DomainGraph(Protocol):
-    """The part of the ROS graph that ReplayGuard needs: all robots with a daemon in the domain."""
+    """The part of the ROS graph that ReplayGuard needs."""
 
     def robots_with_daemon(self) -> list[str]:
         """Return the names of the robots whose daemons, of any user, are in the domain."""
 
 
 class ReplayGuard:
-    """Applies the safety rules to one replay; `named` has the topics that --topics names."""
+    """Applies the safety rules to one replay. `named` has the topics of --topics."""
 
     def __init__(
         self, graph: DomainGraph, domain_id: int, named: Collection[str], *, original_names: bool
@@ -118,7 +118,7 @@ class ReplayGuard:
         self._original_names = original_names
 
     def choose_prefix(self) -> str:
-        """Choose the prefix of all topic names; return a note for the user, "" if no daemon runs.
+        """Choose the prefix of all topic names. Return a note for the user, "" if no daemon runs.
 
         Raises:
             Refused: --original-names was given, but the robot of a daemon is or may be moving.
@@ -143,7 +143,7 @@ class ReplayGuard:
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
         """Return the routes that would command a robot and that the user did not name.
 
-        The list is empty if a prefix was chosen. A route counts even if it has no subscriber yet.
+        The list is empty with a prefix. A route counts even without a subscriber.
         """
         if self.prefix:
             return []
@@ -154,7 +154,7 @@ class ReplayGuard:
         return is_named(route.topic, self._named)
 
     def check(self) -> None:
-        """Check that the replay is still safe. Call this repeatedly. It does nothing with a prefix.
+        """Check that the replay is still safe. Call this repeatedly.
 
         Raises:
             Refused: A daemon has joined or, with --original-names, a robot is or may be moving.
@@ -172,7 +172,7 @@ class ReplayGuard:
             )
 
     def _daemons(self) -> list[RunningDaemon]:
-        """Return the domain's daemons: those with a socket on this machine, and others on ROS."""
+        """Return the domain's daemons with a socket on this machine, and the others on ROS."""
         daemons = daemons_in(self._domain_id)
         known = {daemon.robot for daemon in daemons}
         others = [
@@ -199,7 +199,7 @@ def check_still(daemons: Iterable[RunningDaemon]) -> None:
 
 
 def is_command(route: Route) -> bool:
-    """Return whether a route may move a robot: it is a service, or has a command's type or name."""
+    """Return whether a route may move a robot: a service, or a command by type or name."""
     names = (route.topic.name, route.name)
     return (
         route.requests
@@ -209,7 +209,7 @@ def is_command(route: Route) -> bool:
 
 
 def withheld_note(route: Route) -> str:
-    """Return the note that tells the user that the route is withheld."""
+    """Return the note for the user about a withheld route."""
     name = route.topic.name
     what = "requests" if route.requests else "commands"
     return f"{name} is withheld: a robot would obey these {what} (send them: --topics {name})"

@@ -1,4 +1,4 @@
-"""Runs one replay from job to summary: connects file, safety rules, ROS, player and messages."""
+"""Runs one replay from job to summary."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Emit = Callable[[dict[str, Any]], None]
 
 
 class ReplayReport:
-    """Sends each note; collects the notes, skipped topics, withheld topics and missing data."""
+    """Sends each note, and collects notes, skipped topics, withheld topics and missing data."""
 
     def __init__(self, emit: Emit) -> None:
         self.notes: list[str] = []
@@ -42,18 +42,18 @@ class ReplayReport:
         """Number of withheld messages by topic."""
 
         self.missing: list[str] = []
-        """Sentences about parts of the file that cannot be read."""
+        """Sentences about unreadable parts of the file."""
 
         self._emit = emit
 
     def note(self, text: str) -> None:
-        """Send `text` as a note, and keep it for the summary; do nothing if `text` is ""."""
+        """Send `text` as a note, and keep it for the summary, unless `text` is ""."""
         if text:
             self.notes.append(text)
             self._emit({"note": text})
 
     def skip(self, topic: str, reason: str) -> None:
-        """Report that `topic` is not played; `reason` continues a sentence, as in "has no type"."""
+        """Report that `topic` is not played. `reason` continues a sentence, as in "has no type"."""
         self.skipped[topic] = reason
         self.note(f"{topic} is skipped: it {reason}")
 
@@ -63,7 +63,7 @@ class ReplayReport:
         self.note(withheld_note(route))
 
     def miss(self, sentences: Iterable[str]) -> None:
-        """Report parts of the file that cannot be read; repeated sentences are ignored."""
+        """Report unreadable parts of the file. Repeated sentences are ignored."""
         for sentence in sentences:
             if sentence not in self.missing:
                 self.missing.append(sentence)
@@ -71,11 +71,11 @@ class ReplayReport:
 
 
 BEHIND_S = 0.05
-"""A shorter delay [s] does not count as behind: nobody sees it, and the player may catch up."""
+"""A shorter delay does not count as behind."""
 
 
 def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
-    """Return position, rate and counts of a replay; `behind` counts messages late by BEHIND_S."""
+    """Return position, rate and counts of a replay. `behind` counts messages late by BEHIND_S."""
     schedule, position_ns = player.control.schedule, player.position_ns
     behind = 0
     if schedule.rate is not None:
@@ -138,7 +138,7 @@ CLOCK: Final = "/clock"
 def playable(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> list[Route]:
-    """Return the routes that can be played here; report the others as skipped.
+    """Return the routes that can be played here, and report the others as skipped.
 
     Raises:
         Refused: An installed type differs from the recorded type, without --force-types.
@@ -164,7 +164,7 @@ def playable(
 def open_routes(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> tuple[list[Route], dict[str, Send]]:
-    """Return the routes that could be opened, and `Send` by topic; `report` gets the others."""
+    """Return the routes that could be opened, and `Send` by topic. `report` gets the others."""
     opened: list[Route] = []
     sends: dict[str, Send] = {}
     for route in routes:
@@ -183,7 +183,7 @@ def open_routes(
 
 
 def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPublisher | None:
-    """Return the publisher of /clock, None without --clock. A new pass of --loop sets time back.
+    """Return the publisher of /clock, or None without --clock.
 
     Raises:
         Refused: Another node publishes the clock topic.
@@ -199,6 +199,7 @@ def open_clock(prefix: str, ros: ReplaySession, job: Job, span: Span) -> ClockPu
         )
     send = ros.open_clock(name)
 
+    # A new pass of --loop sets time back.
     def send_time(position_ns: int) -> None:
         send(span.start_ns + (position_ns % span.pass_ns if job.loop else position_ns))
 
@@ -229,19 +230,20 @@ PROGRESS_S: Final = 0.1
 """Interval of progress messages."""
 
 GUARD_S: Final = 0.5
-"""Interval of the checks that no daemon has joined or begun to move its robot."""
+"""Interval of the safety checks for daemons."""
 
 JOIN_S: Final = 10.0
 
 PRIORITY: Final = 1
-"""The lowest priority of SCHED_FIFO, used if permitted; it is enough to wake up in time."""
+"""The lowest priority of SCHED_FIFO, which is enough to wake up in time."""
 
+# A player behind schedule never sleeps.
 OVERLOADED_S: Final = 1.0
-"""A player behind schedule never sleeps: after this time [s] it loses its real-time priority."""
+"""The time behind schedule after which the player loses its real-time priority."""
 
 
 class Replay:
-    """Plays a job. `stop` and `control` may be called from any thread, at any time."""
+    """Plays a job. Any thread may call `stop` and `control` at any time."""
 
     def __init__(self, job: Job, ros: ReplaySession, emit: Emit) -> None:
         self._job = job
@@ -252,14 +254,14 @@ class Replay:
         self._controlling = threading.Lock()
         self._player: Player | None = None
         self._early: list[Command] = []
-        """Commands received before there was a player."""
+        """Commands from before there was a player."""
 
     def stop(self) -> None:
-        """End the replay early; its summary then has the value true for `interrupted`."""
+        """End the replay early, with `interrupted` true in its summary."""
         self._stopped.set()
 
     def control(self, command: Command) -> None:
-        """Carry out a command now or, if there is no player yet, as soon as it is created."""
+        """Carry out a command now or, without a player yet, as soon as it is created."""
         with self._controlling:
             if self._player is None:
                 self._early.append(command)
@@ -369,7 +371,7 @@ class Replay:
         return player
 
     def _run_player(self, player: Player, ahead: ReadAhead, guard: ReplayGuard) -> None:
-        """Run the player in a thread; meanwhile send progress and check safety."""
+        """Run the player in a thread, and meanwhile send progress and check safety."""
         failures: list[BaseException] = []
         scheduling: list[FifoScheduling] = []
         behind = 0

@@ -18,12 +18,12 @@ Entry = tuple[int, str, bytes]
 """(Recorded time since the start of the replay [ns], recorded topic, serialized message)."""
 
 MIN_PASS_NS: Final = 100_000_000
-"""Minimum duration of a pass: a loop over a single message must not send it continuously."""
+"""Minimum duration of a pass, so that a loop over one message has pauses."""
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The part of a recording that is played: log times [ns since the epoch], both inclusive."""
+    """The part of a recording to play, as log times [ns since the epoch], both inclusive."""
 
     start_ns: int
     end_ns: int
@@ -35,7 +35,7 @@ class Span:
 
     @property
     def pass_ns(self) -> int:
-        """Duration of one pass of a loop: `length_ns`, but at least MIN_PASS_NS."""
+        """Duration of one pass of a loop, `length_ns` or MIN_PASS_NS if that is more."""
         return max(self.length_ns, MIN_PASS_NS)
 
 
@@ -68,8 +68,8 @@ def recorded(
 ) -> Iterator[Entry]:
     """Return the messages to send: latched messages from before `span`, then all within `span`.
 
-    `topics` has the type of each topic to play; messages of another type are left out. For each
-    latched topic, `latched` has the largest number of messages from before the span.
+    `topics` has the type of each topic to play. `latched` has, for each latched topic, the largest
+    number of messages from before the span.
     """
 
     def typed(messages: Iterable[Message]) -> Iterable[Message]:
@@ -91,15 +91,15 @@ def entries(
     *,
     loop: bool = False,
 ) -> Iterator[Entry]:
-    """Yield the entries to send, in order; `before` and `during` are called for each pass.
+    """Yield the entries to send, in order. `before` and `during` are called for each pass.
 
-    `before` returns the messages that were latched at the start of the span. They are sent first,
-    because a late subscriber would have received them too. `during` returns the messages of the
-    span in the order of log time. With `loop`, repeat until a pass is empty.
+    `before` returns the messages latched at the start of the span, and `during` those of the span
+    in the order of log time. With `loop`, repeat until a pass is empty.
     """
     begin_ns = 0
     while True:
         is_empty = True
+        # A late subscriber would have received them too.
         for message in before():
             is_empty = False
             yield begin_ns, message.topic, message.data
@@ -114,16 +114,16 @@ def entries(
 BATCH_ENTRIES: Final = 256
 BATCH_BYTES: Final = 1 << 20
 AHEAD_ENTRIES: Final = 16_384
-"""The default limit on the number of messages that wait to be sent."""
+"""The default limit on the messages that wait to be sent."""
 
 AHEAD_BYTES: Final = 64 << 20
-"""Maximum size of all messages that wait to be sent; one batch may be larger."""
+"""Maximum size of all messages that wait to be sent. One batch may be larger."""
 
 
 class ReadAhead:
-    """Iterates over `entries` in batches, which a thread reads while the `with` block runs.
+    """Iterates over `entries` in batches, which a thread reads in advance within the `with` block.
 
-    The thread reads about `ahead` entries in advance. Any thread may call `close` and `count`.
+    The thread is about `ahead` entries in advance. Any thread may call `close` and `count`.
     """
 
     def __init__(self, entries: Iterable[Entry], ahead: int = AHEAD_ENTRIES) -> None:
@@ -209,7 +209,7 @@ class ReadAhead:
                 self._put(batch, size)
 
     def _put(self, batch: list[Entry], size: int) -> bool:
-        """Wait for room and add the batch; return False after `close`."""
+        """Wait for room and add the batch. Return False after `close`."""
         with self._changed:
             while not self._closed and self._batches and self._is_full(len(batch), size):
                 self._changed.wait()
