@@ -47,7 +47,7 @@ class TopicArrays:
     fields: Mapping[str, Array]
 
     def __getitem__(self, path: str) -> Array:
-        """Return the array of the field `path`; raise KeyError if that field was not read."""
+        """Return the array of the field `path`, or raise KeyError if it was not read."""
         return self.fields[path]
 
     def __len__(self) -> int:
@@ -152,7 +152,7 @@ _MEMORY_LIMIT: Final = "1GB"
 _GROUP_BYTES: Final = "64MB"
 _MAX_TIME_NS: Final = 2**63 - 1
 _LEAST_LINE: Final = 1 << 24
-"""Least value of duckdb's limit for a line of JSON [bytes]: duckdb allocates as much."""
+"""Least limit for a line of JSON [bytes]. duckdb allocates as much as the limit."""
 
 
 def write_parquet(columns: Sequence[FieldPath], rows: Iterable[Row], target: Path) -> int:

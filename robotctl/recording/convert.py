@@ -61,7 +61,7 @@ _MAX_TOPICS: Final = 1 << 16
 _TABLES: Final = (
     "SELECT count(*) FROM sqlite_master WHERE type='table' AND name IN ('messages', 'topics')"
 )
-"""Counts tables only, because a view with one of these names could have endless rows."""
+"""Counts no views: a view with one of these names could have endless rows."""
 
 _MESSAGES: Final = "SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id"
 
@@ -106,11 +106,11 @@ class SqliteSource:
         return list(self._channels.values())
 
     def metadata(self) -> Sequence[Metadata]:
-        """Return nothing: a .db3 file has no metadata records."""
+        """Return no metadata, as a .db3 file has no such records."""
         return ()
 
     def attachments(self) -> Iterator[Attachment]:
-        """Yield nothing: a .db3 file has no attachments."""
+        """Yield no attachments, as a .db3 file has none."""
         return iter(())
 
     def batches(self) -> Iterator[Sequence[PlainMessage]]:
@@ -279,7 +279,7 @@ def _open_sqlite(path: Path, tell: Progress) -> Iterator[SqliteSource]:
 
 
 def _sqlite_files(path: Path) -> list[Path]:
-    """Return the sqlite3 files of a bag, in their order; [] for a bag in MCAP."""
+    """Return the sqlite3 files of a bag in their order, [] for a bag in MCAP."""
     try:
         if not path.is_dir():
             return [path] if _is_sqlite(path) else []
@@ -302,10 +302,10 @@ _NAMES: Final[Mapping[str, Mapping[int, str]]] = {
     "durability": {0: "system_default", 1: "transient_local", 2: "volatile"},
     "liveliness": {0: "system_default", 1: "automatic", 3: "manual_by_topic"},
 }
-"""The names by number in rmw_qos_*_policy_e (rmw/types.h); other numbers are unknown."""
+"""The known names by number in rmw_qos_*_policy_e (rmw/types.h)."""
 
 _MAX_CHARACTERS: Final = 1 << 16
-"""A longer text is not parsed, as a YAML parser is slow; 100 publishers take less."""
+"""Longer texts are not parsed, as YAML is slow. 100 publishers take less."""
 
 
 def named_policies(profiles: str) -> str:
@@ -351,7 +351,7 @@ class ChannelTable:
         self._schema_ids: dict[tuple[object, ...], int] = {}
 
     def add(self, channel: Channel, schema: Schema | None) -> int:
-        """Return the id of `channel`, added if it is new; raise UnreadableFile if no id is left."""
+        """Return the id of `channel`, added if new, or raise UnreadableFile if no id is left."""
         metadata = dict(channel.metadata)
         if _QOS in metadata:
             metadata[_QOS] = named_policies(metadata[_QOS])
@@ -382,7 +382,7 @@ class OutputFile:
     def __init__(
         self, path: Path, table: ChannelTable, compression: Compression, profile: str, origin: str
     ) -> None:
-        """Create the file; `origin` is the program that wrote the source."""
+        """Create the file. `origin` names the program of the source."""
         self._path = path
         self._table = table
         self._storage = DiskFile(path)
@@ -393,7 +393,7 @@ class OutputFile:
         self._channels = 0
 
     def is_full(self, limit: int | None) -> bool:
-        """Return whether the file has messages and reaches `limit` bytes; False without a limit."""
+        """Return whether a file with messages has reached `limit` bytes, False without a limit."""
         return limit is not None and bool(self._mcap.summary.counts) and self._mcap.size >= limit
 
     def write(self, messages: Sequence[PlainMessage]) -> None:
@@ -402,7 +402,7 @@ class OutputFile:
         self._mcap.commit(self._encoder.encode(pack(messages)), finished=False)
 
     def add_metadata(self, records: Sequence[Metadata]) -> None:
-        """Add metadata records, which the next write includes."""
+        """Add metadata records to the next write."""
         for record in records:
             self._mcap.add_metadata(record.name, record.metadata)
 
@@ -424,11 +424,11 @@ class OutputFile:
         return described
 
     def close(self) -> None:
-        """Close the file; closing twice is harmless."""
+        """Close the file. Closing twice is harmless."""
         self._storage.close()
 
     def _announce(self) -> None:
-        """Add the schemas and channels that are new to the file."""
+        """Add the schemas and channels that the file lacks."""
         for schema in self._table.schemas[self._schemas :]:
             self._mcap.add_schema(schema)
         for channel in self._table.channels[self._channels :]:
@@ -471,7 +471,7 @@ class Converter:
     """Writes the source files, one after the other, into the files of a new recording."""
 
     def __init__(self, name_of: Callable[[int], Path], form: Form) -> None:
-        """`name_of` returns the path of a new file from its number, which begins at 0."""
+        """`name_of` returns the path of the file with a number from 0."""
         self._name_of = name_of
         self._form = form
         self.table = ChannelTable()

@@ -1,7 +1,7 @@
 """The signing keys of a robot, and the sealed files known to this machine.
 
 The key of each file signs the key of the next file, and is then overwritten: a thief of the present
-key cannot sign older files. The journal of decisions lists each sealed file for good.
+key cannot sign older files. The journal of decisions lists all sealed files.
 """
 
 from __future__ import annotations
@@ -275,10 +275,10 @@ def entries_of_list(path: Path) -> Iterator[Entry]:
 
 @dataclass(slots=True)
 class KnownHeads:
-    """The sealed files of all robots; `opened` and `closed` have them by public key.
+    """The sealed files of all robots.
 
-    `signed` has the names of the files with a signed link. `keys` has the public keys by file name:
-    a name can repeat after the clock was set back.
+    `opened` and `closed` are by public key. `signed` has the names of the files with a signed link.
+    `keys` has the public keys by file name: a name can repeat after the clock was set back.
     """
 
     opened: dict[str, Opening] = field(default_factory=dict)

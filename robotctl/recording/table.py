@@ -68,7 +68,7 @@ _DESCRIBED_IN: Final = "ros2msg"
 
 
 class TopicTable:
-    """The messages of a topic as rows that begin with the values of TIME_COLUMNS."""
+    """The messages of a topic as rows. Each row begins with the values of TIME_COLUMNS."""
 
     def __init__(self, recording: Recording, topic: TopicInfo) -> None:
         """Prepare the columns. `recording` must stay open.

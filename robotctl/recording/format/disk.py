@@ -38,7 +38,7 @@ def open_private(path: Path, flags: int) -> int:
 
 
 def make_folder(path: Path, *, shared: bool) -> None:
-    """Create a new folder and its missing parents; if `shared`, the group may read them.
+    """Create a new folder and its missing parents, readable by the group if `shared`.
 
     Raises:
         OSError: The folder exists, or cannot be created.
@@ -209,7 +209,7 @@ _LOCK_WAIT_S = 0.002
 
 
 class Storage(Protocol):
-    """The file operations that a writer needs. Every method may raise OSError."""
+    """The file operations of a writer. Every method may raise OSError."""
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
         """Write all of `parts`, concatenated, at `offset` [bytes]."""
@@ -218,7 +218,7 @@ class Storage(Protocol):
         """Cut the file to `size` bytes."""
 
     def sync(self) -> None:
-        """Force all data written so far to the disk, so that it survives a power cut."""
+        """Force all data written so far to the disk."""
 
     def close(self) -> None:
         """Close the file."""
@@ -238,7 +238,7 @@ def is_being_written(path: Path) -> bool:
 
 
 def is_locked(fd: int) -> bool:
-    """Return whether a DiskFile has locked the file that is open as `fd`.
+    """Return whether a DiskFile has locked the file of the descriptor `fd`.
 
     Raises:
         OSError: The file system has no locks.
@@ -280,10 +280,10 @@ class DiskFile:
     """A file that is locked while it is open. A new file is private to its owner."""
 
     def __init__(self, path: Path, *, new: bool = True) -> None:
-        """Create `path`, which must not exist, or open it if not `new`.
+        """Create `path` or, if not `new`, open it.
 
         Raises:
-            OSError: The file cannot be created or opened.
+            OSError: The file cannot be created or opened, or is there already.
         """
         flags = os.O_WRONLY | os.O_NOFOLLOW
         if new:
@@ -335,7 +335,7 @@ class DiskFile:
             raise OSError(errno.ENOENT, "the file was removed")
 
     def close(self) -> None:
-        """Close the descriptor; closing twice is harmless.
+        """Close the descriptor. Closing twice is harmless.
 
         Raises:
             OSError: The disk fails.
@@ -347,7 +347,7 @@ class DiskFile:
 
 @contextmanager
 def new_file(target: Path, open_file: Callable[[Path], Storage] = DiskFile) -> Iterator[Storage]:
-    """Yield the new file `target` and close it after the block; remove it if the block raises.
+    """Yield the new file `target`, which is closed after the block or removed if it raises.
 
     Raises:
         Refused: `target` exists already, or cannot be written.

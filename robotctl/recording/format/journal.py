@@ -19,7 +19,7 @@ MAX_TEXT_BYTES = 256 << 10
 
 
 class EntryKind(IntEnum):
-    """The kind of a journal entry; the numbers are those of JournalEntry.msg."""
+    """The kind of a journal entry, with the numbers of JournalEntry.msg."""
 
     EVENT = 0
     EFFECT = 1
@@ -71,7 +71,7 @@ def encode(entry: JournalEntry) -> bytes:
 
 
 def chained(serialized: bytes, crc: int) -> int:
-    """Return the CRC-32 of a journal up to this entry; `crc` is the CRC before the entry."""
+    """Return the CRC-32 of a journal up to this entry, given the CRC before the entry."""
     return crc32(serialized.rstrip(b"\0"), crc)  # DDS pads messages with zeros
 
 

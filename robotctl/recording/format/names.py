@@ -1,4 +1,4 @@
-"""The names in recordings: of records, events, compressions and files. Fast to import."""
+"""Names of records, events, compressions and files in recordings. Fast to import."""
 
 from __future__ import annotations
 
@@ -13,33 +13,32 @@ import robotctl
 
 PROFILE = "ros2"
 OWN_LIBRARY = "robotctl "
-"""Prefix of the library name in the header of each file that robotctl writes."""
+"""Prefix of the library name in the header of robotctl's files."""
 
 LIBRARY = OWN_LIBRARY + robotctl.__version__
 INFO_RECORD = "robotctl"
-"""Robot, parameters, and what made the recording; written when a file begins."""
+"""Robot, parameters and software, written when a file begins."""
 
 OBSERVING = "observing"
-"""The `mode` in INFO_RECORD of a daemon that only records, and does not drive the robot."""
+"""The `mode` in INFO_RECORD of a daemon that does not drive the robot."""
 
 PARAMETER_PREFIX = "parameter."
 """Prefix of the keys of configuration parameters in INFO_RECORD."""
 
 SOFTWARE_RECORD = "robotctl.software"
-"""The content hashes of the modules that decide and command; written when a file begins."""
+"""The content hashes of the modules that decide and command, written when a file begins."""
 
 SHADOW_RECORD = "robotctl.shadow"
 """In files of versions 0.1 and 0.2: the parameters of a second kernel that did not drive."""
 
 FOXGLOVE_RECORD = "foxglove"
-"""The name of the device, where Foxglove looks for it; written when a file begins."""
+"""The name of the device for Foxglove, written when a file begins."""
 
 EVENT_RECORD = "robotctl.event"
-"""One event of the recording, written as it happens: see `recorded_events`."""
+"""One event of the recording, as in `recorded_events`."""
 
 LEDGER_RECORD = "robotctl.ledger"
-"""The loss ledger of a finished file: message counts by topic since the recording began, in
-JSON."""
+"""Message counts by topic since the recording began, in JSON, written when a file is finished."""
 
 CLIP_RECORD = "robotctl.clip"
 """In a clip: its source, its event, and what is missing."""
@@ -73,7 +72,7 @@ CLIP_KINDS = tuple(kind for kind in EventKind if kind is not EventKind.DRIVE_END
 
 
 class Compression(Enum):
-    """The recorder's compression of chunks; the values are those of `recording.compression`."""
+    """The compression of chunks, with the values of `recording.compression`."""
 
     ZSTD = "zstd"
     LZ4 = "lz4"
@@ -104,7 +103,7 @@ _COMPARISONS: Final = "compared_with_*.html"
 
 
 def derived_files(folder: Path) -> Iterator[Path]:
-    """Yield the files in a recording's folder that robotctl made from that recording.
+    """Yield the files in a recording's folder that robotctl made from the recording.
 
     Raises:
         OSError: The folder cannot be read.

@@ -77,7 +77,7 @@ _EVENT: Final = parse_definition(TYPE_NAME, DEFINITION)
 
 
 def encode_event(start_ns: int, end_ns: int, metadata: Mapping[str, str]) -> bytes:
-    """Return a serialized Event message of Foxglove (CDR); times in ns since the epoch."""
+    """Return a serialized Event message of Foxglove (CDR). Times are since the epoch."""
     start, end = ({"sec": ns // NS_PER_S, "nanosec": ns % NS_PER_S} for ns in (start_ns, end_ns))
     pairs = [{"key": key, "value": value} for key, value in metadata.items()]
     return encode(_EVENT, {"start_time": start, "end_time": end, "metadata": pairs})

@@ -36,7 +36,7 @@ PlainMessage = tuple[int, bytes, int, int, int]
 
 MAX_TIME_NS: Final = 2**64 - 1
 MAX_SEQUENCE: Final = 2**32 - 1
-"""The largest values that MCAP can store: larger times are clamped, sequence numbers wrap."""
+"""The largest values in MCAP. Larger times are clamped, sequence numbers wrap."""
 
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """Opcode, record length, channel id, sequence, log time [ns], publish time [ns]."""
@@ -52,7 +52,7 @@ DATA_END_BYTES: Final = RECORD_HEAD_BYTES + 4
 FOOTER_CONTENT_BYTES: Final = 20
 
 FIRST_PRIVATE_OPCODE: Final = 0x80
-"""The first opcode that the specification leaves to applications. Readers skip unknown opcodes."""
+"""The first opcode for applications. Readers skip unknown opcodes."""
 
 ROOM_OPCODE: Final = 0x86
 """Private opcode of the record that reserves room for more data in a growing file."""
@@ -97,7 +97,7 @@ class Chunk:
 
 
 class PlacedChunk(NamedTuple):
-    """A chunk at a certain offset of a file: its record, then its message indexes."""
+    """A chunk at an offset of a file, followed by its message indexes."""
 
     head: bytes
     """The beginning of the record, before the stored messages."""

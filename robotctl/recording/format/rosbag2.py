@@ -120,7 +120,7 @@ def _metadata_in(folder: Path) -> Path:
 def entries_of(folder: Path) -> list[Path]:
     """Return the files and folders in the folder of a recording.
 
-    Files in subfolders named by a hash, as an earlier `robotctl sync` made them, are included.
+    They include the files in subfolders named by a hash, made by an earlier `robotctl sync`.
 
     Raises:
         OSError: A folder cannot be listed.
@@ -139,7 +139,7 @@ def entries_of(folder: Path) -> list[Path]:
 def files_in(text: str) -> list[str]:
     """Return the file names in the text of a `metadata.yaml`, [] without a list of files.
 
-    The list is found only if each line has one name, as rosbag2 and robotctl write it.
+    The list must have one name per line, as rosbag2 and robotctl write it.
     """
     block = _FILE_LIST.search(text)
     if block is None:

@@ -23,7 +23,7 @@ OPENING_OPCODE: Final = 0x87
 LINK_OPCODE: Final = 0x88
 
 NO_DIGEST: Final = bytes(32)
-"""The digest that the first file of a chain continues."""
+"""The previous digest of the first file of a chain."""
 
 MAX_OPENING_BYTES: Final = 1 << 16
 _FIELDS = struct.Struct("<BIQQ32s")
@@ -37,10 +37,10 @@ class LinkKind(IntEnum):
     """The purpose of a link in the hash chain."""
 
     LINK = 1
-    """In the data, directly behind the bytes that the link covers. The next link continues it."""
+    """A link in the data, directly behind the bytes that it covers."""
 
     HEAD = 2
-    """In the summary: the newest link, which each commit overwrites."""
+    """The newest link, in the summary. Each commit overwrites it."""
 
     REPAIRED = 3
     """An unsigned mark: a repair has written the bytes behind it."""
@@ -67,7 +67,7 @@ class Link:
     signature: bytes = bytes(_SIGNATURE_BYTES)
 
     def signed(self) -> bytes:
-        """Return the bytes that the signature of this link covers."""
+        """Return the bytes under the signature of this link."""
         return _LINK_DOMAIN + self._fields()
 
     def record(self) -> bytes:
@@ -116,7 +116,7 @@ class Opening:
     """The signature by `previous_key` for all other fields."""
 
     def signed(self) -> bytes:
-        """Return the bytes that `certificate` signs: all other fields."""
+        """Return the bytes under `certificate`, which are all other fields."""
         values = asdict(self)
         del values["certificate"]
         return _OPENING_DOMAIN + _json(values)

@@ -26,7 +26,7 @@ class MessageCounts:
     """Sent by a publisher before the first message that was received from it."""
 
     not_repeated: int = 0
-    """Latched messages that a later file does not repeat, for lack of memory or file space."""
+    """Latched messages missing in a later file, for lack of memory or file space."""
 
     throttled: int = 0
     """Not recorded and not in `received`: above the topic's rate, or the disk is almost full."""
@@ -102,7 +102,7 @@ _COUNTS = (*COUNTERS, "bytes")
 
 
 def ledger_values(topics: Iterable[TopicStats]) -> dict[str, str]:
-    """Return the loss ledger: counts in JSON by topic name."""
+    """Return the loss ledger, which has counts in JSON by topic name."""
     ledger: dict[str, str] = {}
     for stats in by_topic(topics):
         # A topic has a second type if a node publishes one.

@@ -1,4 +1,4 @@
-"""The trailer of an MCAP file: DataEnd, summary, footer and magic, which follow the data."""
+"""The trailer of an MCAP file: DataEnd, summary, footer and magic."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """The parts of a valid file without attachments that a writer needs to continue it.
+    """The parts of a valid file without attachments for a writer to continue it.
 
     `data_crc` is the checksum in the DataEnd record at `data_end`. `groups` has the summary's
     records, concatenated, by opcode.
@@ -57,7 +57,7 @@ class WrittenFile:
 
 @dataclass(frozen=True, slots=True)
 class TrailerState:
-    """The values from which the trailer of one moment can be written again."""
+    """The values for writing the trailer of one moment again."""
 
     data_end: int
     """The offset where the trailer begins."""
@@ -65,19 +65,19 @@ class TrailerState:
     data_crc: int
     statistics: bytes
     group_sizes: Mapping[Opcode, int]
-    """Bytes of the groups that only grow: all but the statistics."""
+    """Bytes of all groups but the statistics."""
 
     seal: bytes = b""
     """The newest link of the seal as a record; empty if there is none."""
 
     @property
     def kept_bytes(self) -> int:
-        """Bytes at the start of the trailer that stay the same if only a chunk is added."""
+        """Bytes at the start of the trailer that a commit of a chunk does not change."""
         return DATA_END_BYTES + sum(self.group_sizes.values())
 
 
 class Trailer(NamedTuple):
-    """The bytes of a trailer, in parts that follow each other in the file."""
+    """The bytes of a trailer, in parts in file order."""
 
     data_end: bytes
     """The DataEnd record."""
@@ -116,17 +116,17 @@ class Trailer(NamedTuple):
 
 
 class Summary:
-    """The summary of a file that is being written. Records are added, but never removed."""
+    """The growing summary of a file."""
 
     def __init__(self) -> None:
         self.counts: dict[int, int] = {}
         """Messages per channel id, of channels with messages."""
 
         self.start_ns = 0
-        """Lowest log time in the file [ns]; 0 without messages."""
+        """Lowest log time in the file [ns], 0 without messages."""
 
         self.end_ns = 0
-        """Highest log time in the file [ns]; 0 without messages."""
+        """Highest log time in the file [ns], 0 without messages."""
 
         self._groups = {opcode: bytearray() for opcode in _GROUPS}
         self._numbers: Counter[Opcode] = Counter()
@@ -201,7 +201,7 @@ class Summary:
         )
 
     def trailer(self, state: TrailerState) -> Trailer:
-        """Return the bytes of the trailer that `state` describes."""
+        """Return the bytes of the trailer of `state`."""
         data_end = record_bytes(DataEnd(data_section_crc=state.data_crc))
         summary_start = state.data_end + len(data_end)
         groups: list[Buffer] = []

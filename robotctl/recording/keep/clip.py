@@ -43,7 +43,7 @@ from robotctl.recording.write.channel_state import MAX_LATCHED
 from robotctl.recording.write.mcap_writer import McapFile
 
 _OF_THE_WHOLE = (METADATA_RECORD, LEDGER_RECORD, RECOVERY_RECORD, EVENT_RECORD, CLIP_RECORD)
-"""Metadata that describes a whole recording, and would be wrong for a part of it."""
+"""Metadata of a whole recording, wrong for a part of it."""
 
 
 def records_of_clip(
@@ -69,7 +69,7 @@ Lose = Callable[[str], None]
 """Called with a sentence about a part that cannot be read."""
 
 Progress = Callable[[int, int], None]
-"""Called with the recorded time that is done, and in total [ns]."""
+"""Called with the recorded time done and in total [ns]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +266,7 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
 
 
 def clip_job(given: dict[str, Any], report: Report) -> None:
-    """Cut the clip of the ClipJob `given`; report `target` and `lost`. Called in a new process."""
+    """Cut the clip of the ClipJob `given`, and report `target` and `lost`, in a new process."""
     made = make_clip(msgspec.convert(given, ClipJob, dec_hook=lambda kind, value: kind(value)))
     report({"target": str(made.target), "lost": list(made.lost)})
 

@@ -1,4 +1,4 @@
-"""Compare a clip with its source recording: messages, types, channels, metadata."""
+"""Compare messages, types, channels and metadata of a clip with its source recording."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def _same_schema(mine: Schema | None, other: Schema | None) -> bool:
 
 
 def _bag_record(clip: Recording) -> Mapping[str, str]:
-    """Return the rosbag2 record that a clip with these messages and channels must have."""
+    """Return the rosbag2 record for a clip with these messages and channels."""
     found = clip.metadata_of_file(0).get(METADATA_RECORD, {}).get("serialized_metadata", "")
     index = clip.open_files[0].index
     numbers = sorted(index.channels)

@@ -229,7 +229,7 @@ def _failed(name: str, error: Exception) -> TidyNote:
 
 @dataclass(frozen=True, slots=True)
 class TidyJob:
-    """The parameters of `tidy`; `repairs` switches the repair on."""
+    """The parameters of `tidy`. `repairs` switches the repair on."""
 
     recordings: Path
     policy: RetentionPolicy

@@ -60,7 +60,7 @@ class TidyNote(NamedTuple):
 
 
 NOTES_FILE: Final = ".removed.jsonl"
-"""The file in a recordings folder that lists removals until a daemon reports them."""
+"""The list of unreported removals in a recordings folder."""
 
 _MAX_BYTES: Final = 4 << 20
 _APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -94,9 +94,9 @@ def withdraw_note(recordings: Path, path: Path) -> None:
 
 
 def noted_removals(recordings: Path) -> Iterator[TidyNote]:
-    """Yield the noted removals of files that are gone. Call this under `only_one_in`.
+    """Yield the noted removals of files that are gone, then delete their notes.
 
-    A reported note is deleted.
+    Call this under `only_one_in`.
     """
     path = recordings / NOTES_FILE
     notes = dict(_notes(path))

@@ -43,7 +43,7 @@ _MAX_NAME_BYTES: Final = 32
 def unpack(compression: str, stored: bytes, size: int, *, torn: bool = False) -> bytes:
     """Return the decompressed data of a chunk, which should have `size` bytes.
 
-    Of a `torn` chunk, the part that can be decompressed is returned.
+    Of a `torn` chunk, the readable part is returned.
 
     Raises:
         Damaged: The data is corrupt, or the compression is not supported.
@@ -203,7 +203,7 @@ def _is_whole(file: InputFile, offset: int, budget: UnpackBudget) -> bool:
 SERIALIZED_METADATA: Final = "serialized_metadata"
 
 ZSTD: Final = "zstd"
-"""The only format for which rosbag2 has a plugin."""
+"""The only format with a plugin for rosbag2."""
 
 # Possessive (`*+`): any text takes time in proportion to its length.
 _MODE = re.compile(r"^( *+compression_mode: *+)[\"']?(\w*+)[\"']?(?= *+$)", re.MULTILINE)
@@ -245,7 +245,7 @@ class MessageDecompressor:
     """Decompresses the messages at one place of a file, within the file's limits."""
 
     def __init__(self, offset: int, limits: ReadLimits, tally: Tally) -> None:
-        """Set up a decompressor for the place at `offset`; `tally` sums the file's costs."""
+        """Set up a decompressor for the place at `offset`. `tally` sums the file's costs."""
         self._offset = offset
         self._limits = limits
         self._tally = tally

@@ -28,11 +28,11 @@ MAX_SENTENCES = 20
 
 
 class PlaceKind(Enum):
-    """The form in which a file stores the messages of a place."""
+    """The form of the messages of a place in the file."""
 
     CHUNK = "chunk"
     TORN_CHUNK = "torn chunk"
-    """A chunk that the end of the file cuts off."""
+    """A chunk cut off by the end of the file."""
 
     LOOSE = "loose"
     """A run of records outside any chunk."""
@@ -84,11 +84,11 @@ class Place:
 
 
 class Contents:
-    """The messages and definitions that are found by walking the records of a place."""
+    """The messages and definitions in the records of a place."""
 
     def __init__(self) -> None:
         self.records = 0
-        """The number of records that were walked."""
+        """The number of walked records."""
 
         self.entries: dict[int, array[int]] = {}
         """Log time [ns] and position of each message, alternately, by channel."""
@@ -129,13 +129,13 @@ class Contents:
         return {channel: len(entries) // 2 for channel, entries in self.entries.items()}
 
     def window(self) -> tuple[int, int]:
-        """Return the lowest and the highest log time [ns]; there must be a message."""
+        """Return the lowest and the highest log time [ns] of the messages, at least one."""
         times = [entries[::2] for entries in self.entries.values()]
         return min(map(min, times)), max(map(max, times))
 
 
 OF_EACH_FILE: Final = (INFO_RECORD, SOFTWARE_RECORD, FOXGLOVE_RECORD)
-"""Metadata about the robot and the recording software, which each file of a recording repeats."""
+"""Metadata about robot and recording software, repeated in each file of a recording."""
 
 
 def topic_of(channel: Channel, type_name: str) -> Topic:
@@ -150,7 +150,7 @@ def topic_of(channel: Channel, type_name: str) -> Topic:
 
 
 def note_missing(missing: list[str], sentence: str) -> None:
-    """Append `sentence` to `missing`; after MAX_SENTENCES of them, append "and more" instead."""
+    """Append `sentence` to `missing` or, once after MAX_SENTENCES of them, "and more"."""
     if len(missing) < MAX_SENTENCES:
         missing.append(sentence)
     elif len(missing) == MAX_SENTENCES:
@@ -159,7 +159,7 @@ def note_missing(missing: list[str], sentence: str) -> None:
 
 @dataclass(slots=True)
 class FileIndex:
-    """The index of one file; `missing` has a sentence for each part that cannot be read."""
+    """The index of one file. `missing` has a sentence per unreadable part."""
 
     header: Header
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -177,10 +177,10 @@ class FileIndex:
     """Whether the file had no valid summary."""
 
     message_compression: str = ""
-    """The compression of each message; "" if messages are not compressed separately."""
+    """The compression of each message, "" if messages are not compressed separately."""
 
     gaps: list[tuple[int, int]] = field(default_factory=list)
-    """Parts of the data that the summary does not describe: start and end [bytes]."""
+    """Start and end [bytes] of the parts of the data that the summary does not describe."""
 
     declared_metadata: int = 0
     declared_attachments: int = 0
@@ -196,17 +196,17 @@ class FileIndex:
     """The cost of decompressing single messages, by the offset of their place."""
 
     messages_read: dict[int, int] = field(default_factory=dict)
-    """Message counts of the places that were read to their end, by the offset of each place."""
+    """Message counts of the completely read places, by the offset of each place."""
 
     limit_reached: bool = False
-    """Whether a part was left out that could be read with higher limits."""
+    """Whether higher limits would let a missing part be read."""
 
     def miss(self, sentence: str) -> None:
-        """Add a sentence about something that cannot be read."""
+        """Add a sentence about an unreadable part."""
         note_missing(self.missing, sentence)
 
     def miss_beyond(self, what: str, limit: BeyondLimit) -> None:
-        """Add a sentence about something that was not read because it exceeds the limits."""
+        """Add a sentence about an unread part that exceeds the limits."""
         self.limit_reached = True
         self.miss(f"{what}: {limit}")
 
@@ -253,7 +253,7 @@ class FileIndex:
 
     @property
     def message_count(self) -> int:
-        """The number of messages that can be read, of all channels."""
+        """The number of readable messages of all channels."""
         return sum(self.counts.values())
 
 
@@ -270,7 +270,7 @@ _SIZES = struct.Struct("<QQ")
 
 
 def read_chunk_times(data: bytes, position: int, end: int) -> tuple[int, int]:
-    """Return the lowest and the highest log time [ns] that a chunk index gives.
+    """Return the lowest and the highest log time [ns] in a chunk index record.
 
     Raises:
         Damaged: The record is too short.

@@ -25,7 +25,7 @@ from robotctl.recording.format.rosbag2 import METADATA_FILE, entries_of, files_i
 from robotctl.recording.read.read_limits import Damaged, ReadLimits, beyond_unpacking
 
 SUFFIX: Final = ".zstd"
-"""Suffix of a file that rosbag2 compressed."""
+"""Suffix of a file compressed by rosbag2."""
 
 _PIECE_BYTES = 1 << 20
 _HEAD_BYTES = 18
@@ -40,7 +40,7 @@ def is_zstd_file(path: Path) -> bool:
 def unpack_zstd_file(fd: int, on_progress: Callable[[int, int], None]) -> int:
     """Decompress the file `fd` into an unnamed file, and return the new descriptor.
 
-    The result ends where the data is corrupt. `on_progress` gets bytes done and in total.
+    The result ends at corrupt data. `on_progress` gets bytes done and in total.
 
     Raises:
         Damaged: Nothing can be decompressed, or the result exceeds the limits.
@@ -88,31 +88,31 @@ def _room() -> Iterator[None]:
 
 
 class Source(Protocol):
-    """A file that is read by ranges; it may grow.
+    """A file, perhaps growing, that is read by ranges.
 
-    Every method but `close` may raise OSError, or UnreadableFile, which ends the reading.
+    Every method but `close` may raise OSError or, to end the reading, UnreadableFile.
     """
 
     def size(self) -> int:
         """Return the present size [bytes]."""
 
     def stored_bytes(self) -> int:
-        """Return the stored size [bytes]: less than `size` if the file is compressed as a whole."""
+        """Return the stored size [bytes], less than `size` for a file compressed as a whole."""
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return at most `length` bytes at `offset`; b"" only at the end of the file."""
+        """Return at most `length` bytes at `offset`, b"" only at the end of the file."""
 
     def is_written(self) -> bool:
         """Return whether a process has the file open for recording."""
 
     def close(self) -> None:
-        """Close the file; closing twice is harmless."""
+        """Close the file. Closing twice is harmless."""
 
 
 def open_source(
     path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Source:
-    """Open a file; during decompression, `on_progress` gets the bytes done and the total.
+    """Open a file. `on_progress` gets bytes done and in total of a decompression.
 
     Raises:
         OSError: The file cannot be opened, or is not a regular file.
@@ -128,7 +128,7 @@ class LocalSource:
     def __init__(
         self, path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
     ) -> None:
-        """Open `path`; `on_progress` gets bytes done and in total while decompressing.
+        """Open `path`. `on_progress` gets bytes done and in total of a decompression.
 
         Raises:
             OSError: It cannot be opened, or is not a regular file.
@@ -150,15 +150,15 @@ class LocalSource:
             raise
 
     def size(self) -> int:
-        """Return the present size [bytes]; for a compressed file, the size of its content."""
+        """Return the present size [bytes] or, for a compressed file, that of its content."""
         return os.fstat(self._fd).st_size
 
     def stored_bytes(self) -> int:
-        """Return the number of bytes that the file has on the disk."""
+        """Return the size of the file on the disk [bytes]."""
         return self.size() if self._packed_bytes is None else self._packed_bytes
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return at most `length` bytes at `offset`; b"" only at the end of the file."""
+        """Return at most `length` bytes at `offset`, b"" only at the end of the file."""
         return os.pread(self._fd, length, offset)
 
     def is_written(self) -> bool:
@@ -166,7 +166,7 @@ class LocalSource:
         return is_locked(self._fd)
 
     def close(self) -> None:
-        """Close the file; closing twice is harmless."""
+        """Close the file. Closing twice is harmless."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -185,23 +185,23 @@ class RemoteSource:
         self._reader = path.reader()
 
     def size(self) -> int:
-        """Return the size [bytes] that the object had when it was looked up."""
+        """Return the size of the object at the look-up [bytes]."""
         return self._size
 
     def stored_bytes(self) -> int:
-        """Return `size`: the file is never decompressed."""
+        """Return `size`, as the file is never decompressed."""
         return self._size
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return at most `length` bytes at `offset`; b"" only at the end of the file."""
+        """Return at most `length` bytes at `offset`, b"" only at the end of the file."""
         return self._reader.read(offset, length)
 
     def is_written(self) -> bool:
-        """Return False: an object is complete when it appears."""
+        """Return False, as an object is complete when it appears."""
         return False
 
     def close(self) -> None:
-        """Do nothing: no connection is open for it."""
+        """Do nothing, as no connection is open."""
 
 
 Progress = Callable[[int, int], None]
@@ -269,7 +269,7 @@ def may_not_be_listed(path: Path) -> bool:
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether `path` is a folder that has MCAP files or that this user may not list."""
+    """Return whether `path` is a folder with MCAP files, or one that this user may not list."""
     if not path.is_dir():
         return False
     try:
@@ -299,7 +299,7 @@ def is_recording(path: Path) -> bool:
 
 
 def files_of_bag(folder: Path) -> list[Path]:
-    """Return the MCAP files in a folder, including those that are compressed as a whole.
+    """Return the MCAP files in a folder, compressed or not.
 
     Raises:
         OSError: The folder cannot be listed.
@@ -332,7 +332,7 @@ def each_with_progress(
 
 
 def absent_files(text: str, present: list[Path]) -> list[str]:
-    """Return a sentence for each file that `metadata.yaml` (`text`) lists, but not `present`."""
+    """Return a sentence for each file in `text`, a `metadata.yaml`, that is not in `present`."""
     return [
         f"{name}: metadata.yaml names it, but it is not there"
         for name in absent_names(text, present)
@@ -340,7 +340,7 @@ def absent_files(text: str, present: list[Path]) -> list[str]:
 
 
 def absent_names(text: str, present: list[Path]) -> list[str]:
-    """Return the names in `text`, a `metadata.yaml`, that are not in `present`, compressed or not.
+    """Return the files in `text`, a `metadata.yaml`, that are not in `present`, compressed or not.
 
     Read `text` before listing the folder: a daemon creates a file before listing it there.
     """

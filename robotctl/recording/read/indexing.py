@@ -44,7 +44,7 @@ from robotctl.recording.read.records import (
 )
 
 MAX_SUMMARY_BYTES = 256 << 20
-"""Enough for about 600,000 chunks. A larger summary counts as damage; the file is then scanned."""
+"""Enough for about 600,000 chunks. A file with a larger summary is scanned."""
 
 _CRC_BYTES = 4
 
@@ -92,7 +92,7 @@ def _before_own_footer(data: bytes) -> bytes:
 def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
     """Return the index that the file's summary gives.
 
-    Without `places`, messages cannot be read with the index.
+    Without `places`, messages cannot be read.
 
     Raises:
         Damaged: The summary is missing or not valid.
@@ -173,7 +173,7 @@ def _gaps(chunks: list[tuple[Place, int]], begin: int, data_end: int) -> list[tu
 
 
 def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[Place]:
-    """Return the first places, as many as the limits allow to decompress; report the rest."""
+    """Return the first places that the limits allow to decompress, and report the rest."""
     budget = UnpackBudget(file.limits)
     for number, place in enumerate(places):
         try:
@@ -185,7 +185,7 @@ def _affordable(places: list[Place], file: InputFile, index: FileIndex) -> list[
 
 
 def _read_metadata(file: InputFile, index: FileIndex, entries: Iterable[MetadataIndex]) -> None:
-    """Add each metadata record to `index`; report those that cannot be read or overlap."""
+    """Add each metadata record to `index`; report unreadable and overlapping records."""
     room = file.size
     for entry in entries:
         try:
@@ -203,7 +203,7 @@ def _read_metadata(file: InputFile, index: FileIndex, entries: Iterable[Metadata
 
 
 def read_written_file(file: InputFile) -> WrittenFile:
-    """Return the state of a file that robotctl wrote, from which a writer can continue it.
+    """Return the state of a file of robotctl for a writer to continue it.
 
     Raises:
         Damaged: The summary is not valid, or not as robotctl writes it.
@@ -270,7 +270,7 @@ _OPCODES = frozenset(Opcode) | frozenset(range(FIRST_PRIVATE_OPCODE, 256))
 def index_by_scanning(
     file: InputFile, on_progress: Callable[[int], None] = lambda offset: None
 ) -> FileIndex:
-    """Index the readable parts of a file. `on_progress` gets the offset [bytes] that was reached.
+    """Index the readable parts of a file. `on_progress` gets the reached offset [bytes].
 
     Raises:
         Damaged: Not even the header can be read.
@@ -299,7 +299,7 @@ def index_by_scanning(
 
 
 def read_gaps(file: InputFile, index: FileIndex) -> None:
-    """Add the content of `index.gaps` to `index`; the summary lists nothing of these parts."""
+    """Add the content of `index.gaps`, which the summary does not list, to `index`."""
     of_summary = dict(index.counts), index.start_ns, index.end_ns
     scan = _Scan(file, index)
     for start, end in index.gaps:
@@ -318,7 +318,7 @@ def read_gaps(file: InputFile, index: FileIndex) -> None:
 
 
 class _Scan:
-    """Walks a file from `offset` on, and adds to the index what is found.
+    """Walks a file from `offset` on, and adds the findings to the index.
 
     `ended` becomes True at the end of the file, `data_ended` at the end of the data section.
     """
@@ -383,7 +383,7 @@ class _Scan:
         self.offset = record.end
 
     def skip(self, damage: Damaged) -> None:
-        """Move to the next chunk, or to the end of the file; report that the bytes before are lost.
+        """Move to the next chunk or the end of the file, and report the lost bytes.
 
         Raises:
             BeyondLimit: The search would cost too much.
@@ -394,7 +394,7 @@ class _Scan:
         self.offset, self.ended = end, found is None
 
     def finish(self) -> None:
-        """Add the last run of messages outside chunks; report lost messages."""
+        """Add the last run of messages outside chunks, and report lost messages."""
         self._end_loose_run()
         index = self._index
         for channel in index.counts.keys() - index.channels.keys():
@@ -483,8 +483,7 @@ def index_of(
 ) -> FileIndex:
     """Return the index of a file, from its summary or, if that is not valid, by a scan.
 
-    `on_progress` gets the offset that a scan has reached. Without `places`, messages cannot be read
-    with the index.
+    `on_progress` gets the offset of the scan. Without `places`, messages cannot be read.
 
     Raises:
         Damaged: Not even the header can be read.
@@ -513,7 +512,7 @@ def index_of(
 
 
 def _complete(file: InputFile, index: FileIndex) -> None:
-    """Find records that the summary does not list; report those that are counted but not found."""
+    """Find records that the summary does not list, and report missing ones."""
     # A summary of robotctl lists all records: its gaps have only the rest of a killed commit.
     if not index.own or index.declared_metadata > len(index.metadata):
         read_gaps(file, index)

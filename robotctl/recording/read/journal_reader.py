@@ -1,4 +1,4 @@
-"""Read the journal of a recording: the events, effects and snapshots of the kernel."""
+"""Read the journal of a recording."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from robotctl.recording.read.read_limits import CURE
 from robotctl.recording.read.reader import Recording, RecordingInfo
 
 _FIRST_STEP_NS = 15 * NS_PER_S
-"""How far back the first search for a snapshot goes; daemons write one every 10 s."""
+"""Range of the first search for a snapshot. Daemons write one every 10 s."""
 
 
 class RecordedEntry(NamedTuple):
-    """A journal entry, with the log time at which it was recorded [ns since the epoch]."""
+    """A journal entry with its log time [ns since the epoch]."""
 
     log_ns: int
     entry: JournalEntry
@@ -126,7 +126,7 @@ def since_snapshot(
 
 
 def _last_snapshot_ns(recording: Recording, topic: str, start_ns: int, moment_ns: int) -> int:
-    """Return the log time of the last snapshot before a moment; without a snapshot, `start_ns`."""
+    """Return the log time of the last snapshot before `moment_ns`, or else `start_ns`."""
     step_ns = _FIRST_STEP_NS
     while True:
         begin_ns = max(moment_ns - step_ns, start_ns)

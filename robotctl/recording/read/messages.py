@@ -43,7 +43,7 @@ _new: Final = tuple.__new__
 
 
 class Message(NamedTuple):
-    """One recorded message; times in nanoseconds since the epoch, `data` serialized as received."""
+    """One recorded message. Times are since the epoch, and `data` is serialized as received."""
 
     topic: str
     type_name: str
@@ -63,7 +63,7 @@ class OpenFile:
 
 
 class PlaceReader:
-    """Reader of one `Place` of a file; `names` has topic and type of the wanted channels by id.
+    """Reader of one `Place` of a file. `names` has topic and type of the wanted channels by id.
 
     `take`, after `load`, returns only messages in `window`. `contents` and `as_written` yield all
     messages in file order.
@@ -114,7 +114,7 @@ class PlaceReader:
             self.entries.sort()
 
     def take(self) -> Message:
-        """Return the next message of `entries`; there must be one.
+        """Return the next message of `entries`. There must be one.
 
         Raises:
             Damaged: The message cannot be decompressed; the next call returns the one after it.
@@ -213,7 +213,7 @@ class PlaceReader:
             raise Damaged(f"{unknown} messages belong to no channel")
 
     def loss(self, damage: Damaged) -> str:
-        """Return a sentence about the messages that are lost because the place is damaged."""
+        """Return a sentence about the messages lost by a damage of the place."""
         begin = self.place.offset
         return (
             f"{self.file.path.name}: messages between bytes {begin} and "
@@ -239,7 +239,7 @@ def place_readers(
 
 
 def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:
-    """Return topic and type of each channel by channel id; only channels of `topics`, if given."""
+    """Return topic and type by channel id, only of `topics` unless None."""
     return {
         channel.id: (channel.topic, type_name_of(channel, index.schemas.get(channel.schema_id)))
         for channel in index.channels.values()
@@ -248,13 +248,13 @@ def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[in
 
 
 _BATCH_BYTES: Final = 8 << 20
-"""About this many bytes of messages become one chunk of a copy; original chunks may be larger."""
+"""Size of the messages in a chunk of a copy. Original chunks may be larger."""
 
 
 class ReadableFile:
     """Reader of all records of a file in file order, for a copy of the file.
 
-    `lost` has a sentence for each loss. `on_progress` gets the offset [bytes] that was reached.
+    `lost` has a sentence for each loss. `on_progress` gets the reached offset [bytes].
     """
 
     def __init__(self, opened: OpenFile, on_progress: Callable[[int], None]) -> None:
@@ -276,7 +276,7 @@ class ReadableFile:
         return self.index.metadata
 
     def batches(self) -> Iterator[list[PlainMessage]]:
-        """Yield all messages in batches: those of one chunk, or of a part of a large chunk."""
+        """Yield all messages in lists, each from one chunk or a part of a large chunk."""
         for place in self.index.places:
             yield from batched(self._messages(place), _BATCH_BYTES)
             self._on_progress(place.offset)
@@ -345,8 +345,8 @@ def open_readable(
 def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:
     """Yield sentences about recorded counts that exceed the messages in `files`.
 
-    `text` is the `metadata.yaml`, which must be read before the files. With `all_files`, `files`
-    are all files of the recording.
+    `text`, the `metadata.yaml`, must be read before the files. With `all_files`, `files` are all
+    files of the recording.
     """
     if any(each.index.limit_reached for each in files):
         return  # not all messages were read

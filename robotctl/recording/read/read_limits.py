@@ -1,6 +1,6 @@
-"""Limits of reading that follow from a file's size on the disk, and the errors of reading.
+"""The limits of reading by a file's size on the disk, and the errors of reading.
 
-What exceeds a limit is not read, and is reported together with `CURE`.
+Parts beyond a limit are not read, and are reported together with `CURE`.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from typing import Final, Self
 from robotctl.base.errors import UsageError
 
 VARIABLE: Final = "ROBOTCTL_READ_LIMITS"
-"""Environment variable: a factor for all limits here."""
+"""Environment variable with a factor for all limits here."""
 
 CURE: Final = f"to read it all, set {VARIABLE}=10: ten times the limit"
 
 MAX_FACTOR: Final = 1_000_000.0
 
 UNPACKED_BYTES: Final = 512 << 20
-"""The chunks of the smallest file may unpack to this in total: in 0.25 s (0.5 s with a copy)."""
+"""Least limit of all unpacked chunks of a file. They take 0.25 s (0.5 s with a copy)."""
 
 UNPACKED_RATIO: Final = 512
-"""The chunks of a file may unpack to this multiple of its size, if that exceeds UNPACKED_BYTES."""
+"""The same limit for large files, as a multiple of the file size."""
 
 FAST_CHUNK_BYTES: Final = 24 << 20
 FAST_CHUNK_DISCOUNT: Final = 10
@@ -49,13 +49,13 @@ ATTACHMENT_BYTES: Final = 256 << 20
 
 RECORDS: Final = 100_000
 BYTES_PER_RECORD: Final = 4
-"""A file may hold RECORDS records, or one for every 4 bytes if that is more. The densest harmless
-file, constant data without message indexes, has one for every 6 bytes; ours, for every 22."""
+"""A file may hold RECORDS records, or one for every 4 bytes if that is more. Harmless files have at
+most one for every 6 bytes."""
 
 JOURNAL_ENTRIES: Final = 30_000
 BYTES_PER_JOURNAL_ENTRY: Final = 16
-"""A journal may have JOURNAL_ENTRIES entries, or one for every 16 bytes of file if that is more: an
-entry takes 16 bytes of index and its share of a chunk. Re-running an entry takes 25 us."""
+"""A journal may have JOURNAL_ENTRIES entries, or one for every 16 bytes of file if that is more.
+Re-running an entry takes 25 us."""
 
 SNAPSHOTS: Final = 1000
 BYTES_PER_SNAPSHOT: Final = 1000
@@ -74,7 +74,7 @@ ZSTD_FILE_RATIO: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class ReadLimits:
-    """The limits of one file; `unpacked_cost` is in bytes as `unpacking_cost` counts them."""
+    """The limits of one file. `unpacked_cost` is in bytes as `unpacking_cost` counts them."""
 
     unpacked_cost: int
     chunk_bytes: int
@@ -89,7 +89,7 @@ class ReadLimits:
 
     @classmethod
     def of(cls, stored_bytes: int) -> Self:
-        """Return the limits of a file that takes `stored_bytes` on the disk.
+        """Return the limits of a file with `stored_bytes` on the disk.
 
         Raises:
             UsageError: The factor for the limits in the environment is not valid.
@@ -114,7 +114,7 @@ class ReadLimits:
 
 
 def unpacking_cost(unpacked_bytes: int) -> int:
-    """Return the share of `ReadLimits.unpacked_cost` that a chunk of `unpacked_bytes` uses up."""
+    """Return the part of `ReadLimits.unpacked_cost` for a chunk of `unpacked_bytes`."""
     return unpacked_bytes // (FAST_CHUNK_DISCOUNT if unpacked_bytes <= FAST_CHUNK_BYTES else 1)
 
 
@@ -169,7 +169,7 @@ class UnpackBudget:
 
 
 def beyond_unpacking(limit: int) -> BeyondLimit:
-    """Return the error for a file or chunks that would unpack to more than `limit` bytes."""
+    """Return the error for an unpacked size above `limit` bytes."""
     return BeyondLimit(f"unpacked it would take more than {limit >> 20} MiB")
 
 
@@ -178,7 +178,7 @@ class Damaged(Exception):
 
 
 class Unreadable(Damaged):
-    """The disk or the memory failed; the same part may be readable later."""
+    """The disk or the memory failed. The same part may be readable later."""
 
 
 class BeyondLimit(Damaged):

@@ -44,7 +44,7 @@ _HASH_KEY = "topic_type_hash"
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """A topic in a recording; `rate_hz` is the mean over the whole recording."""
+    """A topic in a recording. `rate_hz` is the mean over the whole recording."""
 
     name: str
     type_name: str
@@ -125,7 +125,7 @@ def read_messages(
     topics: Collection[str] | None = None,
     on_missing: Callable[[str], None] | None = None,
 ) -> Iterator[Message]:
-    """Yield the messages of `topics` in the order of log time; None stands for all topics.
+    """Yield the messages of `topics`, or of all for None, in the order of log time.
 
     `on_missing` gets a sentence about each part that cannot be read.
 
@@ -165,7 +165,7 @@ class Recording:
         self._files: list[OpenFile] = []
         self.missing: list[str] = []
         self.lost_files: list[str] = []
-        """The names of the files that are missing or cannot be read."""
+        """The names of the missing and unreadable files."""
 
         text, problems = ("", []) if source else metadata_of_folder(path)
         paths = [path] if source else list(files) or recording_files(path)
@@ -204,11 +204,11 @@ class Recording:
 
     @property
     def limits(self) -> ReadLimits:
-        """The read limits that follow from the size of the recording."""
+        """The read limits for the size of the recording."""
         return ReadLimits.of(sum(each.file.stored_bytes for each in self._files))
 
     def info(self) -> RecordingInfo:
-        """Return a summary of the recording: its files, time span, topics, metadata and events."""
+        """Return the summary of the recording."""
         indexes = [each.index for each in self._files]
         metadata = self.metadata()
         with_messages = [index for index in indexes if index.message_count]
@@ -237,14 +237,14 @@ class Recording:
 
     @property
     def is_cut_off(self) -> bool:
-        """Whether recording ended without closing: the process was killed, or writing failed."""
+        """Whether robotctl did not close the recording. True for most files of other programs."""
         return not self.is_live and not self._files[-1].index.has_metadata(
             LEDGER_RECORD, CLIP_RECORD
         )
 
     @property
     def open_files(self) -> Sequence[OpenFile]:
-        """The files of the recording that could be opened, in their order."""
+        """The readable files of the recording, in their order."""
         return self._files
 
     def metadata(self) -> list[Metadata]:
@@ -256,7 +256,7 @@ class Recording:
         return {record.name: record.metadata for record in self._files[number].index.metadata}
 
     def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
-        """Return channel and schema by topic and type, from the first file that has them."""
+        """Return channel and schema by topic and type, each from the first file with both."""
         channels: dict[tuple[str, str], tuple[Channel, Schema | None]] = {}
         for each in self._files:
             for channel in each.index.channels.values():
@@ -308,9 +308,10 @@ class Recording:
         on_missing: Callable[[str], None],
         on_progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> Iterator[Message]:
-        """Yield the messages in file order: log times step back if the clock was set back.
+        """Yield the messages of `topics` (None: all) in file order.
 
-        `on_missing` gets a sentence about each lost part, `on_progress` the bytes done and total.
+        `on_missing` gets a sentence about each lost part, `on_progress` the bytes done and in
+        total.
         """
         done, total = 0, sum(each.file.size for each in self._files)
         for each in self._files:
@@ -325,10 +326,7 @@ class Recording:
     def last_before(
         self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
     ) -> list[Message]:
-        """Return the last `wanted[topic]` messages of each topic before `moment_ns` (log time).
-
-        They are in the order of log time. Only parts of the files that may have them are read.
-        """
+        """Return each topic's last `wanted[topic]` messages before `moment_ns`, by log time."""
         found = list(enumerate(place_readers(self._files, wanted, (0, moment_ns - 1))))
         found.sort(key=lambda ranked: ranked[1].place.end_ns, reverse=True)
         held: dict[str, list[tuple[int, int, int, Message]]] = {topic: [] for topic in wanted}
@@ -380,7 +378,7 @@ _AFTER_ALL = (1 << 64, 0)
 
 
 def _load(source: PlaceReader, room: int | None, on_missing: Callable[[str], None]) -> None:
-    """Load a place if it fits into `room` [bytes]; None means no limit."""
+    """Load a place if it fits into `room` [bytes], always for None."""
     try:
         if room is not None and source.place.size_in_memory(source.file.file) > room:
             source.loaded = True

@@ -32,13 +32,13 @@ from robotctl.recording.read.read_limits import (
 )
 
 MESSAGE_FIELDS: Final = struct.Struct("<HIQQ")
-"""The fields before a message's data: channel id, sequence, log time [ns], publish time [ns]."""
+"""Channel id, sequence, log time [ns] and publish time [ns], before a message's data."""
 
 _MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """RECORD_HEAD and MESSAGE_FIELDS."""
 
 RecordHead = tuple[int, int, int, int, int, int]
-"""Opcode and content length [bytes]; then MESSAGE_FIELDS, which are valid for messages only."""
+"""Opcode, content length [bytes] and MESSAGE_FIELDS, which are valid for messages only."""
 
 HeadBlock = list[tuple[int, RecordHead]]
 """Position and head of each record in a part of a chunk."""
@@ -46,10 +46,10 @@ HeadBlock = list[tuple[int, RecordHead]]
 _PIECE_BYTES: Final = 1 << 20
 _BLOCK_RECORDS: Final = 512
 _BLOCK_BYTES: Final = 1 << 20
-"""A chunk is walked in blocks, which end after _BLOCK_RECORDS records or this many bytes."""
+"""A block of a chunk ends after _BLOCK_RECORDS records or this many bytes."""
 
 MAX_RECORD_BYTES: Final = 64 << 20
-"""Maximum content of a schema, channel, metadata or index record; a larger one is damage."""
+"""Maximum content of a schema, channel, metadata or index record. A larger one is damage."""
 
 TOO_MANY_RECORDS: Final = (
     f"it holds more than {RECORDS} messages, and more than one for every {BYTES_PER_RECORD} bytes"
@@ -62,7 +62,7 @@ _Record = TypeVar("_Record", bound=McapRecord)
 
 
 class _ExactStream(ReadDataStream):
-    """A stream that raises EndOfFile if there is less data than requested."""
+    """A stream that raises EndOfFile if there is too little data."""
 
     def read(self, length: int) -> bytes:
         data: bytes = super().read(length)
@@ -85,7 +85,7 @@ def parse(kind: type[_Record], data: bytes) -> _Record:
 
 
 class Record(NamedTuple):
-    """The place of a record; `end` is the offset after it, perhaps beyond the end of the file."""
+    """The place of a record. `end` is the offset after it, perhaps beyond the end of the file."""
 
     opcode: int
     offset: int
@@ -103,7 +103,7 @@ class Record(NamedTuple):
 
 
 class InputFile:
-    """A file that is read at offsets and may be growing."""
+    """A file, perhaps growing, that is read at offsets."""
 
     def __init__(
         self,
@@ -121,7 +121,7 @@ class InputFile:
         """
         self.path = path
         self.failure: Unreadable | None = None
-        """The first failure to read because of disk or memory, not because of the content."""
+        """The first failure of disk or memory."""
 
         try:
             self._source = source or open_source(path, on_progress)
@@ -130,7 +130,7 @@ class InputFile:
             raise
         self.size = 0
         self.stored_bytes = 0
-        """The size on the disk [bytes], from which the limits are computed."""
+        """The size on the disk [bytes], which determines the limits."""
 
         try:
             self.refresh()
@@ -145,7 +145,7 @@ class InputFile:
         self.limits = ReadLimits.of(self.stored_bytes)
 
     def is_changing(self) -> bool:
-        """Return whether the size has changed since `refresh`, or a process is writing the file."""
+        """Return whether a process is writing the file, or its size has changed since `refresh`."""
         return self._source.size() != self.size or self._source.is_written()
 
     def read(self, offset: int, length: int) -> bytes:
@@ -207,7 +207,7 @@ class InputFile:
         return failure
 
     def close(self) -> None:
-        """Close the file; closing twice is harmless."""
+        """Close the file. Closing twice is harmless."""
         self._source.close()
 
     def __enter__(self) -> Self:
@@ -271,7 +271,7 @@ def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
 
 
 def _short_head(data: bytes, position: int) -> RecordHead:
-    """Return the head of a record that begins too near to the end to be a message."""
+    """Return the head of a record too near to the end to be a message."""
     if position + RECORD_HEAD.size > len(data):
         raise Damaged("a chunk ends in the middle of a record")
     opcode, length = RECORD_HEAD.unpack_from(data, position)

@@ -60,7 +60,7 @@ from robotctl.recording.read.records import (
 )
 
 MAX_FLAWS: Final = 20
-"""Maximum number of flaws of a file that are kept; further flaws are only counted."""
+"""Maximum number of kept flaws of a file. Further flaws are only counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class Flaws:
 
 
 class FileState(StrEnum):
-    """The state in which the writer left a file."""
+    """The state of a file after its writer."""
 
     FINISHED = "finished"
     LIVE = "live"
@@ -116,7 +116,7 @@ _STATES: Final = {
     CONVERSION_RECORD: FileState.CONVERTED,
     LEDGER_RECORD: FileState.FINISHED,
 }
-"""The state of a robotctl file that has a metadata record of this name; the first match counts."""
+"""The state of a robotctl file by a metadata record in it. The first match counts."""
 
 
 @dataclass(slots=True)
@@ -137,7 +137,7 @@ class WholeData(FileIndex):
     """The records that the summary must have, by opcode, and by id (schema, channel) or offset."""
 
     bad_chunks: set[int] = field(default_factory=set)
-    """Offsets of the chunks that cannot be read."""
+    """Offsets of the unreadable chunks."""
 
     private: list[Record] = field(default_factory=list)
     private_in_summary: list[tuple[int, bytes]] = field(default_factory=list)
@@ -150,7 +150,7 @@ class WholeData(FileIndex):
     """The values of `counts`, `start_ns` and `end_ns` without the last chunk."""
 
     unfinished: int | None = None
-    """The offset of a commit that was not finished; it reaches to the end of the data."""
+    """The offset of an unfinished commit, which reaches to the end of the data."""
 
     def state(self) -> FileState:
         """Return how the file was ended. Do not call this while the file is growing."""
@@ -162,7 +162,7 @@ class WholeData(FileIndex):
         return FileState.NOT_CLOSED
 
     def statistics(self) -> Statistics:
-        """Return the statistics that the summary must hold."""
+        """Return the right statistics for the summary."""
         return Statistics(
             attachment_count=len(self.listed[Opcode.ATTACHMENT_INDEX]),
             channel_count=len(self.channels),
@@ -243,10 +243,10 @@ class _Walk:
         """Whether the last chunk cannot be read."""
 
         self._expected: dict[int, bytes] = {}
-        """The entries of the message indexes that must still follow the last chunk, by channel."""
+        """The missing message indexes of the last chunk, by channel."""
 
     def record(self, offset: int) -> int | None:
-        """Check the record at `offset`; return the offset after it, None for DataEnd.
+        """Check the record at `offset`, and return the offset after it, None for DataEnd.
 
         Raises:
             Damaged: There is no valid record, so what follows cannot be read.
@@ -284,7 +284,7 @@ class _Walk:
         return record.end
 
     def _single(self, record: Record) -> None:
-        """Check a record that belongs to no chunk.
+        """Check a record outside of chunks.
 
         Raises:
             Damaged: A data section has no records of this kind, or the disk fails.
@@ -324,7 +324,7 @@ class _Walk:
         self._flaws.add(record.offset, record.end, text)
 
     def _define(self, opcode: int, content: bytes, record: Record) -> Schema | Channel:
-        """Add a schema or a channel that is in `record` (a record or a chunk), and return it.
+        """Add and return a schema or a channel in `record`, which may be a chunk.
 
         Raises:
             Damaged: The schema or channel is malformed.
@@ -450,7 +450,7 @@ _INDEX_HEAD_BYTES: Final = 6
 
 
 def _sorted(entries: bytes) -> list[tuple[int, int]]:
-    """Return the entries of a message index, sorted: other writers may sort them by time."""
+    """Return the sorted entries of a message index. Other writers may sort them by time."""
     values = array("Q", entries[: len(entries) // 16 * 16])
     return sorted(zip(values[::2], values[1::2], strict=True))
 
@@ -475,7 +475,7 @@ _LISTED: Final[dict[int, Callable[[bytes], tuple[int, Any]]]] = {
     Opcode.CHUNK_INDEX: _key_and_index(ChunkIndex, "chunk_start_offset"),
     Opcode.STATISTICS: lambda content: (0, parse(Statistics, content)),
 }
-"""Functions that read a summary record: they return its id or offset, and its content."""
+"""Functions that return id or offset, and content, of a summary record."""
 
 
 def compare_summary(summary: bytes, start: int, data: WholeData, flaws: Flaws) -> None:
@@ -506,7 +506,7 @@ def compare_summary(summary: bytes, start: int, data: WholeData, flaws: Flaws) -
 def _wrong_record(
     opcode: int, content: bytes, seen: dict[int, set[int]], data: WholeData
 ) -> Iterator[str]:
-    """Yield a sentence for each thing that is wrong with one record of the summary."""
+    """Yield a sentence for each mistake in one record of the summary."""
     if opcode not in _LISTED:
         if opcode < FIRST_PRIVATE_OPCODE or (data.own and opcode != LINK_OPCODE):
             yield f"no record of kind {opcode} belongs in a summary"
@@ -540,7 +540,7 @@ def _name(opcode: int) -> str:
 def _wrong_offset(
     content: bytes, groups: dict[int, tuple[int, int]], data: WholeData, span: tuple[int, int]
 ) -> Iterator[str]:
-    """Yield a sentence if a summary offset is wrong; the summary before it is `span`."""
+    """Yield a sentence if a summary offset is wrong. The summary before it is `span`."""
     try:
         told = parse(SummaryOffset, content)
     except Damaged as damage:

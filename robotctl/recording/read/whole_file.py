@@ -1,4 +1,4 @@
-"""Read a whole file: check that each byte belongs to a record and is as it was written.
+"""Read a whole file, and check each byte of it.
 
 Bytes that a killed recorder leaves after the last commit are no flaw.
 """
@@ -49,13 +49,13 @@ from robotctl.recording.seal import is_signed
 
 
 class SealState(StrEnum):
-    """The part of a file that its seal covers."""
+    """The part of a file under its seal."""
 
     SEALED = "sealed"
     """The whole file."""
 
     PARTLY = "partly sealed"
-    """The beginning: a repair wrote the rest, or the recorder could no longer sign."""
+    """Only the beginning, because of a repair or because the recorder could no longer sign."""
 
     NONE = "not sealed"
     BROKEN = "broken"
@@ -71,7 +71,7 @@ class SealOfRead:
     opening: Opening | None = None
     links: list[Link] = field(default_factory=list)
     is_copy: bool = False
-    """Whether a repair made the file as a copy of a sealed one: nothing in it is signed."""
+    """Whether a repair copied the file from a sealed one. Nothing in it is signed."""
 
     state: SealState = SealState.NONE
     wrong: list[str] = field(default_factory=list)
@@ -88,7 +88,7 @@ class SealOfRead:
 
 
 def check_seal(file: InputFile, data: WholeData, state: FileState, loose: int) -> SealOfRead:
-    """Check the seal of a file whose `data` was read; the last `loose` bytes may be unsealed.
+    """Check the seal of a file with the read `data`. The last `loose` bytes may be unsealed.
 
     Raises:
         Damaged: The disk fails.
@@ -146,7 +146,7 @@ def _records(file: InputFile, data: WholeData) -> tuple[Opening | None, list[Lin
 
 
 def _check_links(file: InputFile, opening: Opening, links: list[Link], found: SealOfRead) -> None:
-    """Compute the hash chain, and compare each link; stop at the first wrong link."""
+    """Compute the hash chain, and compare each link up to the first wrong one."""
     base, start, number = bytes.fromhex(opening.previous), 0, 1
     running, position = sha256(), 0
     for link in links:
@@ -190,7 +190,7 @@ def _judge(end: int, state: FileState, links: list[Link], found: SealOfRead) -> 
 
 
 def find_footer(file: InputFile, data_end: int) -> Record:
-    """Return the footer of the trailer that begins with the DataEnd record at `data_end`.
+    """Return the footer of the trailer whose DataEnd record is at `data_end`.
 
     Raises:
         Damaged: There is no footer of the right length, or the file ends before it.
@@ -229,7 +229,7 @@ def ends_in_commit(file: InputFile, summary_start: int, end: int) -> bool:
 
 
 def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
-    """Remove the last chunk from `data` if `summary` lacks it; return its size [bytes], else 0."""
+    """Remove a last chunk that `summary` lacks from `data`, and return its size [bytes] or 0."""
     chunks = data.listed[Opcode.CHUNK_INDEX]
     if not chunks:
         return 0
@@ -284,7 +284,7 @@ class WholeFile:
         return not self.flaws.count and not self.data.unread
 
     def flaw_sentences(self) -> list[str]:
-        """Return a sentence for each flaw that is kept, and one with the number of other flaws."""
+        """Return a sentence for each kept flaw, and one with the number of other flaws."""
         more = self.flaws.count - len(self.flaws.kept)
         found = [flaw.sentence() for flaw in self.flaws.kept]
         return [*found, f"and {more} more"] if more else found
@@ -357,7 +357,7 @@ def _live(file: InputFile, flaws: Flaws, on_progress: Callable[[int], None]) -> 
 
 
 def _check_crc(file: InputFile, found: WholeFile) -> None:
-    """Compare the CRC of the data; if one flipped bit explains a difference, name the byte."""
+    """Check the CRC of the data, and name the byte if one flipped bit explains a difference."""
     data, flaws = found.data, found.flaws
     if data.told_crc:
         span = 0, data.end + DATA_END_BYTES
@@ -378,7 +378,7 @@ def _compare_crcs(
 ) -> None:
     """Compare the CRCs (stored, computed) of the bytes `covered` (start, end).
 
-    The flaw of a difference is the byte of one flipped bit, or else `span` unless `place_known`.
+    The flaw is the byte of one flipped bit, or else `span` unless `place_known`.
     """
     told, found = crcs
     start, end = covered
@@ -429,7 +429,7 @@ def _check_trailer(file: InputFile, found: WholeFile) -> None:
 
 
 def find_flip(told: int, found: int, size: int) -> int | None:
-    """Return the offset of the byte in which one flipped bit explains the difference, or None.
+    """Return the offset of the byte with one flipped bit that explains a difference, or None.
 
     `told` and `found` are CRC-32s of `size` bytes. The search takes 0.1 s for 100 MB.
     """

@@ -1,4 +1,4 @@
-"""Read a whole recording: check each byte of its files, its seals, and all message counts."""
+"""Read a whole recording, and check all bytes, seals and message counts."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _TopicKey = tuple[str, str]
 
 
 MAX_MISSING: Final = 20
-"""Maximum number of missing files that are named."""
+"""Maximum number of missing files in a `Chain`."""
 
 
 @dataclass(slots=True)
@@ -56,7 +56,7 @@ class Chain:
 
 
 def check_chain(files: Iterable[WholeFile]) -> Chain:
-    """Compare each sealed file with its predecessor in the chain; return the findings."""
+    """Compare each sealed file with its predecessor in the chain, and return the findings."""
     chain = Chain()
     by_root: dict[str, list[tuple[Opening, WholeFile]]] = {}
     for file in files:
@@ -110,17 +110,17 @@ def _are_alike(file: WholeFile, other: WholeFile) -> bool:
 
 
 def find_head(files: Iterable[WholeFile], digest: str) -> WholeFile | None:
-    """Return the first file that has a valid link with the hex `digest`; None if no file has."""
+    """Return the first file with a valid link of the hex `digest`, None without one."""
     return next((file for file in files if file.seal.knows(digest.lower())), None)
 
 
 _AS_RECORDED: Final = (FileState.FINISHED, FileState.LIVE, FileState.NOT_CLOSED)
-"""The states of a file as the recorder left it; such a file must still have its seal."""
+"""The states of a file as the recorder left it, with its seal."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownFile:
-    """The result of comparing a file with the keys and ends that this machine has stored."""
+    """The result of `compare_known`."""
 
     wrong: str = ""
     """Why the file cannot be the known one, or ""."""
@@ -130,7 +130,7 @@ class KnownFile:
 
 
 def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
-    """Compare a file's key, name and end with those that this machine has stored in `heads`."""
+    """Compare a file's key, name and end with those in `heads`."""
     opening = file.seal.opening
     name = file.path.name.removesuffix(SUFFIX)
     if opening is None:
@@ -153,7 +153,7 @@ def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
 
 
 class RecordingProof(StrEnum):
-    """The result of verifying a recording; the most severe result is first."""
+    """The result of verifying a recording, the most severe first."""
 
     BROKEN = "broken"
     """A byte, a count, the chain or a signature is wrong."""
@@ -183,7 +183,7 @@ class VerifiedRecording:
 
     @property
     def wrong(self) -> tuple[str, ...]:
-        """A sentence for each thing that is wrong: bytes, counts, seals, chain."""
+        """A sentence for each wrong byte, count, seal and connection."""
         many = len(self.files) > 1
         seals = [
             f"{file.path.name}: {sentence}" if many else sentence
@@ -194,7 +194,7 @@ class VerifiedRecording:
 
     @property
     def proof(self) -> RecordingProof:
-        """The most severe result that was found."""
+        """The most severe result."""
         if self.wrong:
             return RecordingProof.BROKEN
         if self.unreadable:
@@ -239,7 +239,7 @@ def verify_recording(
 
 
 def _miscounted(file: WholeFile) -> Iterator[str]:
-    """Yield a sentence for each count of a rosbag2 record that the messages contradict."""
+    """Yield a sentence for each wrong count in a rosbag2 record."""
     texts = [r.metadata for r in file.data.metadata if r.name == METADATA_RECORD]
     if file.state is FileState.FINISHED and texts:
         told = topic_counts_in(texts[-1].get("serialized_metadata", ""))
@@ -247,7 +247,7 @@ def _miscounted(file: WholeFile) -> Iterator[str]:
 
 
 def _contradictions(text: str, files: Sequence[WholeFile], *, whole_folder: bool) -> Iterator[str]:
-    """Yield a sentence for each count of `metadata.yaml` or a ledger that the files contradict."""
+    """Yield a sentence for each wrong count in `metadata.yaml` or a ledger."""
     own = [file for file in files if file.data.own and file.state is not FileState.CLIP]
     if len(own) != len(files) or not files:
         return
@@ -277,7 +277,7 @@ def _contradictions(text: str, files: Sequence[WholeFile], *, whole_folder: bool
 
 
 def _ledger_differences(files: Sequence[WholeFile]) -> Iterator[str]:
-    """Yield a sentence for each ledger count that the files up to that ledger contradict."""
+    """Yield a sentence for each wrong count in a ledger of the files."""
     first = files[0].path.stem
     names = [f"{first.removesuffix('0')}{number}" for number in range(len(files))]
     if not first.endswith("_0") or [file.path.stem for file in files] != names:
