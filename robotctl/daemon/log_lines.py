@@ -279,12 +279,7 @@ class LoopHandler(LineHandler):
         return record, self.format(record)
 
     def enqueue(self, record: Any) -> None:
-        """Queue a line, and schedule its publication in the loop.
-
-        Raises:
-            queue.Full: The queue has no room for the line.
-            RuntimeError: The loop is closed.
-        """
+        """Queue a line for the loop, or raise queue.Full."""
         if len(self._waiting) >= CAPACITY:
             raise queue.Full
         self._waiting.append(record)

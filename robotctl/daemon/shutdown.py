@@ -36,8 +36,7 @@ async def stand_still(
 ) -> None:
     """Ramp down, or command zero after `ramp_down_s` without standstill, and send a last zero.
 
-    The kernel starts no motion afterwards. `published()` returns the number of commands sent. A
-    last zero that is not sent is retried for LAST_ZERO_S.
+    The kernel starts no motion afterwards. `published()` returns the number of commands sent.
     """
     control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, _ENDING))
     for mode in (Mode.IDLE, Mode.ERROR):
@@ -72,8 +71,7 @@ DRAIN_S = 3.0
 """How long a stop waits until the recorder has received the last command."""
 
 ACKNOWLEDGED_S = 1.0
-"""How long a stop waits until the robot has acknowledged the last zero. Fast DDS discards the zero
-if the publisher is destroyed before."""
+"""How long a stop waits until the robot has acknowledged the last zero."""
 
 
 async def last_zero_arrived(
@@ -81,8 +79,7 @@ async def last_zero_arrived(
 ) -> None:
     """Wait until the recorder has the last command and status, and the robot has that command.
 
-    `received()` returns the recorder's number of messages by topic. The waits end after DRAIN_S and
-    ACKNOWLEDGED_S.
+    `received()` returns the recorder's number of messages by topic. Each wait has a limit.
     """
 
     def is_recorded() -> bool:
@@ -93,6 +90,7 @@ async def last_zero_arrived(
         )
 
     await until(is_recorded, DRAIN_S)
+    # Fast DDS discards the zero if the publisher is destroyed before.
     if not await until(velocity.is_acknowledged, ACKNOWLEDGED_S):
         _log.warning(
             "a subscriber of %s has not acknowledged the last zero within %g s",

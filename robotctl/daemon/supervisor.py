@@ -32,8 +32,7 @@ Work = Callable[[], Coroutine[Any, Any, None]]
 class Supervisor:
     """Runs all tasks, and reports their failures as faults.
 
-    A failed task is started again; its fault lasts until the daemon is restarted. When memory runs
-    out, the robot is stopped and the daemon ends.
+    A failed task is started again; its fault lasts until a restart. Lack of memory ends the daemon.
     """
 
     def __init__(self, end: Callable[[], None]) -> None:
@@ -42,11 +41,7 @@ class Supervisor:
         self._reserve: mmap | None = mmap(-1, RESERVE_BYTES, MAP_PRIVATE | MAP_ANONYMOUS)
 
     def check(self) -> None:
-        """Raise an error if the daemon has run out of memory.
-
-        Raises:
-            RobotctlError: The daemon has run out of memory.
-        """
+        """Raise RobotctlError if the daemon has run out of memory."""
         if self._reserve is None:
             raise RobotctlError(OUT_OF_MEMORY)
 

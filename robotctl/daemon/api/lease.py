@@ -44,8 +44,8 @@ class _Holder:
 class LeaseMethods:
     """The handlers of the lease's methods.
 
-    A lease ends by its release, with the connection of `lease_take`, or after SILENT_PERIODS
-    periods of `listen_s` [s] without a `lease_keep`.
+    A lease ends by its release, with its connection, or after SILENT_PERIODS without a
+    `lease_keep`.
     """
 
     def __init__(

@@ -51,10 +51,7 @@ _CHECKS = tuple(
 
 
 class Warnings:
-    """Collects the warnings of a daemon.
-
-    In an observer, `control` is None and `faults` has a sentence for each failed task.
-    """
+    """Collects the warnings of a daemon or, without `control`, of an observer."""
 
     def __init__(
         self,

@@ -99,8 +99,7 @@ class Gate(Protocol):
 class Watchdog:
     """Sends zeros from a thread, through `gate`, while the loop's ticks are missing.
 
-    The thread runs from the first `ping` to the end of the `with` block; the zeros end when the
-    loop calls `take`. A C call that holds the GIL blocks this thread too.
+    The zeros end when the loop calls `take`. A C call that holds the GIL blocks this thread too.
     """
 
     def __init__(

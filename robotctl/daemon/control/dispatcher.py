@@ -29,8 +29,7 @@ class Journal:
     def __init__(
         self, write: Callable[[bytes, int], None], commands: Callable[[], int] = lambda: 0
     ) -> None:
-        """`write(serialized, seq)` gets each entry as a ROS message, with `seq` from 0.
-        `commands()` returns the number of published commands that the journal contains."""
+        """`write(serialized, seq)` gets each entry; `commands()` counts the journaled commands."""
         self._write = write
         self._commands = commands
         self._seq = 0
@@ -144,8 +143,7 @@ class Control:
         urgent: Callable[[], Event | None] = lambda: None,
         asked: Callable[[Request], None] = lambda request: None,
     ) -> None:
-        """`on_failure(error, where)` is called for a failed effect, `asked(request)` for each
-        request.
+        """`asked(request)` is called for each request, `on_failure` for an effect that failed.
 
         `urgent()` returns an event to handle before the dispatched one, or None.
         """

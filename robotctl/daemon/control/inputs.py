@@ -42,8 +42,7 @@ NAMELESS = "a publisher that is gone, or has no name yet,"
 class ForeignCommands:
     """Dispatches an event for each velocity command of a publisher other than `own_gid`.
 
-    `name_of(gid)` returns the name of a publisher's node, "" if unknown. While `moves()` is false,
-    each publisher causes at most one event in REPEAT_NS.
+    While `moves()` is false, each publisher causes at most one event in REPEAT_NS.
     """
 
     def __init__(

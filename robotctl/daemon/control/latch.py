@@ -159,7 +159,7 @@ class Latch:
         self._begin(partial(remove, self._path), fault)
 
     def when_settled(self, then: Then) -> None:
-        """Call `then(problem)` when the last change is on the disk or has failed, or after DISK_S.
+        """Call `then(problem)` when the last change settles, after DISK_S at the latest.
 
         `problem` is "" if the change is on the disk.
         """

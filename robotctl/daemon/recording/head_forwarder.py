@@ -22,8 +22,7 @@ LAST_TIMEOUT_S = 2.0
 class HeadForwarder:
     """Publishes each head of the seal, and runs a program with it. Use only in the loop's thread.
 
-    The program's last arguments are the head (hex) and the file's name. During a run of the
-    program, only the newest head waits for the next run.
+    The program's last arguments are the head (hex) and the file's name. Runs skip outdated heads.
     """
 
     def __init__(self, command: str, publish: Callable[[str], object] | None) -> None:

@@ -25,10 +25,9 @@ MAX_PROBLEMS: Final = 10
 
 
 class Tidier:
-    """Tidies the folder of recordings in processes of the lowest priority, in the loop's thread.
+    """Tidies the folder of recordings in processes of the lowest priority.
 
-    Files that a crash left are repaired once, after `begun`. The retention policy is applied then
-    and after each `finished`.
+    Use it in the loop's thread. Files that a crash left are repaired only once, after `begun`.
     """
 
     def __init__(self, policy: RetentionPolicy, recording: Path) -> None:

@@ -39,11 +39,7 @@ _REVISION = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")
 
 
 def provenance() -> dict[str, str]:
-    """Return the known versions, host, user and git commits.
-
-    `git.robotctl` is the commit of robotctl's source tree, `git.directory` that of the working
-    folder.
-    """
+    """Return known versions, host, user and git commits (of robotctl and the working folder)."""
     try:
         return dict(_provenance(Path.cwd()))
     except OSError:  # the working folder was removed
@@ -144,8 +140,7 @@ SHORT_CHARACTERS: Final = 16
 def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
     """Return the short hash of each module of CONTROL_PATH, and under DIGEST one digest of all.
 
-    The digest is the SHA-256 of sha256sum(1)'s lines for all modules, sorted by name. Files are
-    read at the first call only. Modules that cannot be read are left out.
+    The digest is the SHA-256 of sha256sum(1)'s lines. Files are read at the first call only.
     """
     hashes = dict(_hashes(package))
     lines = "".join(f"{value}  {name}\n" for name, value in sorted(hashes.items()))

@@ -154,10 +154,8 @@ def open_recorder(
 ) -> Recorder:
     """Start the recording ROBOT_DATE_TIME.
 
-    Any thread may call the callbacks. `mode()` and `present()` return the robot's mode and the
-    configuration for a new file's metadata. `on_full(file)` must schedule a call of the recorder's
-    `split`. `evidence` and `names` are the full names of topics that checks need, and of the
-    daemon's own topics and services by metadata key.
+    Any thread may call the callbacks. `on_full` must schedule a call of the recorder's `split`.
+    `evidence` are the full names of topics that checks need. `names` becomes metadata.
 
     Raises:
         Refused: The recording cannot be written.

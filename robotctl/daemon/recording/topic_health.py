@@ -90,10 +90,7 @@ class TopicWatch:
         self.trouble = self._judge(now_s)
 
     def look_at_publishers(self, now_s: float, next_numbers: Mapping[bytes, int]) -> None:
-        """Detect that a new publisher has replaced the older ones.
-
-        `next_numbers` has the next sequence number of each publisher, the oldest publisher first.
-        """
+        """Detect a restart from the publishers' next sequence numbers, the oldest one first."""
         if len(next_numbers) != self._publishers:
             if self._publishers:
                 self._replaced = now_s, dict(islice(next_numbers.items(), self._publishers))
@@ -177,10 +174,7 @@ class LearnedPeriod:
         self._fewest, self._most = inf, 0.0
 
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
-        """Count the new messages; return the expected period [s], None until it is learned.
-
-        The gap before a `late` look, over LATE_S after the last one, is not judged.
-        """
+        """Count the messages; return the period [s] once learned. A `late` gap is not judged."""
         if self._first is None:
             if count != self._before:
                 self._first, self._last_s = (newest_s, count), newest_s
@@ -292,8 +286,7 @@ class _Topic:
 class TopicHealth:
     """Watches the rates of topics, in the loop's thread only.
 
-    A topic is watched if its rate is configured or learned. Times are in seconds on a steady clock;
-    `wall_ns` is since the epoch.
+    Times are in seconds on a steady clock; `wall_ns` is since the epoch.
     """
 
     def __init__(self, expected: RateByTopic, names: Iterable[str], now_s: float) -> None:
@@ -368,10 +361,7 @@ class TopicHealth:
             yield f"{len(told) - MAX_NAMED} more topics have other rates than expected"
 
     def troubles(self) -> str:
-        """Return a text that names the topics in trouble, "" if there are none.
-
-        A configured topic without a message is in trouble from the beginning.
-        """
+        """Return a text that names topics in trouble or still without a message, "" for none."""
         found = [
             f"{topic.name} is {topic.watch.trouble.value}"
             if topic.count
