@@ -192,8 +192,7 @@ NOT_ALLOWED: Final = "this user may not read it"
 class Catalogue:
     """A catalogue that is up to date.
 
-    `indexes` are the paths of its recordings' indexes. `left_out` has a sentence for each recording
-    that is not completely in the catalogue.
+    `left_out` has a sentence for each recording that is not completely in the catalogue.
     """
 
     path: Path

@@ -134,8 +134,7 @@ CHANGED: Final = "changed"
 class GateReport:
     """The judgements of recordings by path, in the order of the recordings.
 
-    `lost` has the reason for each recording without a judgement. `live` recordings are still being
-    written. `stored` counts the results from the store.
+    `lost` has the reasons for missing judgements. `live` recordings are still being written.
     """
 
     results: dict[Path, Judgement] = field(default_factory=dict)
@@ -218,8 +217,7 @@ def judge_all(
 ) -> GateReport:
     """Judge recordings, and return the report.
 
-    `settings` are other parameters to try, {} for none. Results in the store are not computed
-    again.
+    `settings` are other parameters to try. Results in the store are not computed again.
 
     Raises:
         Refused: A result cannot be stored, or the engine is not available.

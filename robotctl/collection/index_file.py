@@ -135,8 +135,7 @@ def name(value: str) -> str:
 class RecordingRow:
     """A recording: its size, software, totals and verdicts.
 
-    `software` is the digest of the control path's modules, `parameters` the JSON of the kernel's
-    first parameters, and `check_says` the first finding of the check.
+    `software` is a digest. `parameters` is the JSON of the kernel's first parameters.
     """
 
     kind: ClassVar[str] = "recording"
@@ -165,8 +164,7 @@ class RecordingRow:
 class DriveRow:
     """A drive, numbered from 1 in its recording.
 
-    A drive with 0 `wanted_laps` was to continue until stopped. Fields with a default are None if
-    the recording ends before the drive.
+    Endless drives have 0 `wanted_laps`. In an unfinished drive, fields with a default are None.
     """
 
     kind: ClassVar[str] = "drive"

@@ -229,9 +229,8 @@ _NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 class Judgement:
     """The result of the gate for one recording.
 
-    `recording`, `software` and `outcome` are SHA-256 hashes of its files, robotctl and all
-    findings. `says` is the first finding, "" if nothing is wrong, and `cause` the same without
-    numbers. `other` has the changes by other parameters.
+    `recording`, `software` and `outcome` are SHA-256 hashes. `says` is the first finding, "" if
+    nothing is wrong, and `cause` the same without numbers.
     """
 
     recording: str
@@ -261,8 +260,6 @@ class Judgement:
 
 def judge(path: Path, settings: Mapping[str, str], content: Content | None = None) -> Judgement:
     """Judge a recording with its own parameters and, if there are any, with `settings`.
-
-    `content` is the recording's content if the caller has read it already.
 
     Raises:
         OSError: A file cannot be read.

@@ -94,8 +94,7 @@ def copy_recordings(
 ) -> Synced:
     """Copy the files that the store lacks; each failure adds a sentence to the result.
 
-    `on_progress` gets the number of bytes handled so far, and the total. The run ends if the store
-    fails for GIVE_UP_AFTER recordings in a row.
+    `on_progress` gets the bytes handled and the total. GIVE_UP_AFTER failures in a row end the run.
 
     Raises:
         StoreError: The store cannot be listed.
