@@ -1,7 +1,6 @@
 """The WebSocket protocol of Foxglove: the messages of a server, and the requests of its clients.
 
-Source: https://github.com/foxglove/ws-protocol (docs/spec.md). Integers are little-endian, times
-are in nanoseconds.
+Source: https://github.com/foxglove/ws-protocol (docs/spec.md). Integers are little-endian.
 """
 
 from __future__ import annotations

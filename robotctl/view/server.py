@@ -104,10 +104,7 @@ _MESSAGE_HEAD_BYTES: Final = len(message_head(0, 0))
 
 
 class ViewServer:
-    """Offers channels, and sends their messages to the viewers that subscribe.
-
-    Use it in the loop's thread. The attributes `on_...` may be set before `listen`.
-    """
+    """Offers channels, and sends their messages to subscribed viewers, in the loop's thread."""
 
     def __init__(
         self,

@@ -56,19 +56,13 @@ class Admission:
     """Checks the first request of a connection."""
 
     def __init__(self, token: str, origins: Iterable[str] = (), host: str = "localhost") -> None:
-        """Admit requests with this token, without an Origin or from KNOWN_ORIGINS and `origins`.
-
-        `host` is one more name that a Host header may have.
-        """
+        """Allow `origins` in addition to KNOWN_ORIGINS, and `host` to this computer's names."""
         self._token = token.encode()
         self._own_names = {"localhost", socket.gethostname().lower(), host.lower()}
         self._origins = {*KNOWN_ORIGINS, *origins}
 
     def refusal(self, target: str, hosts: Sequence[str], origins: Sequence[str]) -> str:
-        """Return the reason to refuse a request, or "".
-
-        `target` is the path with the query. `hosts` and `origins` are the values of these headers.
-        """
+        """Return the reason to refuse a request, or ""; `target` is the path with the query."""
         if len(hosts) != 1 or not self._is_own_host(hosts[0]):
             return "the Host header names no address of this computer"
         if len(origins) > 1 or not self._origins.issuperset(origins):
