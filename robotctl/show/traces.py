@@ -300,10 +300,7 @@ Taker = Callable[[Traces, float, bytes], None]
 
 
 def topic_takers(topics: Sequence[TopicInfo]) -> dict[tuple[str, str], Taker]:
-    """Return the functions that add messages to traces, by topic name and type.
-
-    Odometry, commands and battery have one topic each, the one with most messages.
-    """
+    """Return the takers for one topic each of odometry, commands and battery, by name and type."""
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (
         {ODOMETRY: _take_odometry},
