@@ -86,7 +86,7 @@ class Trial:
     motions: list[Motion] = field(default_factory=list)
 
     def begin(self, held: Held, t_s: float) -> None:
-        """Begin a motion at `t_s`; the last sample before `t_s` is the motion's first sample."""
+        """Begin a motion at `t_s`, with the last sample before it."""
         self.motions.append(Motion(held, t_s, samples=self.samples[-1:]))
 
     def sample(self, sample: TrialSample) -> None:
@@ -96,7 +96,7 @@ class Trial:
             self.motions[-1].samples.append(sample)
 
     def command(self, command: TrialCommand) -> None:
-        """Add a command that was sent, unless no motion has begun."""
+        """Add a command of a motion."""
         if self.motions:
             self.motions[-1].commands.append(command)
 
@@ -233,7 +233,7 @@ def measured(trial: Trial) -> Measured:
 
 
 def _turned(motion: Motion) -> Turned | None:
-    """Return the properties of a turn, None if the base did not turn; may raise Refused."""
+    """Return the properties of a turn, None without one; may raise Refused."""
     line = _line(motion)
     if line.speed <= -MOVES_SHARE * motion.wanted:
         raise Refused(
@@ -387,7 +387,7 @@ def proposals(base: Measured, present: KernelParams) -> list[Proposal]:
 
 
 def _turning(turn: Turned | None, present: KernelParams) -> list[Proposal]:
-    """Return the proposed limit of the turn rate; [] for a base that cannot turn on the spot."""
+    """Return the proposed limit of the turn rate, [] if the base cannot turn on the spot."""
     if turn is None:
         return []
     limits = present.limits
@@ -418,7 +418,6 @@ def _stopping_within(way: float, reaction_s: float, braking: float) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Round to two decimals."""
     return round(value, 2)
 
 

@@ -183,12 +183,9 @@ def check_priority(fifo_priority: int) -> Iterator[Finding]:
 
 
 def _check_place(folder: Path) -> None:
-    """Check that the folder exists or can be created, on a disk that can be written.
+    """Check that the folder exists or can be created on a writable disk; may raise OSError.
 
     An existing folder need not be writable: it may be of another user's daemon.
-
-    Raises:
-        OSError: The folder cannot be used.
     """
     existing = _existing(folder)
     if not os.path.isdir(existing):
@@ -208,7 +205,6 @@ PINNED = re.compile(r"([A-Za-z0-9._-]+)(?:\[[^]]*\])?==([^; ]+)")
 """Matches a requirement `NAME==VERSION`; the groups are the name and the version."""
 
 WHEELS_FOR = "x86_64"
-"""The architecture of the ROS wheels."""
 
 
 def check_wheels(
@@ -251,7 +247,7 @@ def check_wheels(
 
 
 def check_shell(environment: Mapping[str, str], prefix: Path) -> Iterator[Finding]:
-    """Warn if `environment` has paths of another ROS than robotctl's own, which is in `prefix`."""
+    """Warn if `environment` has paths of another ROS than the one in `prefix`."""
     check = "shell"
     paths = {name: value for name, value in environment.items() if name != "RMW_IMPLEMENTATION"}
     _, found = without_foreign_ros(paths, prefix)
@@ -281,7 +277,7 @@ def check_two_rclpys(folders: Iterable[str]) -> Iterator[Finding]:
 
 
 def check_pip(prefix: Path, base_prefix: Path, standard_library: Path) -> Iterator[Finding]:
-    """Warn if pip installs nothing for this Python, because the distribution owns it (PEP 668)."""
+    """Warn if the distribution does not allow pip for this Python (PEP 668)."""
     if prefix == base_prefix and (standard_library / "EXTERNALLY-MANAGED").exists():
         yield warning(
             "pip",
@@ -396,16 +392,15 @@ PROFILES: Final = "FASTRTPS_DEFAULT_PROFILES_FILE"
 """The variable that names the profiles file for Fast DDS 2, the version in the wheels."""
 
 LOCALHOST_ONLY: Final = "ROS_LOCALHOST_ONLY"
-"""A variable of ROS Humble; its value 1 overrules the variable that RANGE names."""
+"""A variable of ROS Humble, whose value 1 overrules RANGE."""
 
 MAX_PROFILES_BYTES: Final = 1_000_000
-"""Limit on the size of a profiles file."""
 
 RANGES: Final = ("", "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
 
 
 def check_middleware(environment: Mapping[str, str]) -> Iterator[Finding]:
-    """Warn if RMW_IMPLEMENTATION names a middleware that robotctl does not use."""
+    """Warn if RMW_IMPLEMENTATION names another middleware than robotctl's."""
     given = environment.get("RMW_IMPLEMENTATION", "")
     if given not in ("", RMW):
         yield warning(
@@ -444,7 +439,7 @@ def check_profiles(environment: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def _text_of(path: Path) -> str:
-    """Return the text of a regular file of a bounded size; raise OSError if it is unreadable."""
+    """Return the text of a file of a bounded size; may raise OSError."""
     with open_regular(path) as stream:
         data = stream.read(MAX_PROFILES_BYTES + 1)
     if len(data) > MAX_PROFILES_BYTES:
@@ -464,7 +459,6 @@ _UNMATCHED: Final = (
 MAX_NAMED: Final = 5
 
 MAX_ENDPOINTS: Final = 200
-"""Limit on the endpoints that are compared in pairs."""
 
 
 def check_command(topic: GraphTopic, *, has_odometry: bool) -> Iterator[Finding]:

@@ -31,7 +31,7 @@ class SimFault(Enum):
     SLIP = "slip"
     """The robot does not move, though its wheels turn."""
     HANG = "hang"
-    """The robot publishes nothing and ignores commands; after `command_timeout_s` it stops."""
+    """The robot publishes nothing, ignores commands, and stops after `command_timeout_s`."""
     BROWNOUT = "brownout"
     """The drives have no power, and the reported battery level is at most `BROWNOUT_LEVEL`."""
 
@@ -57,13 +57,13 @@ class Faults:
         }
 
     def reported_pose(self, pose: Pose) -> Pose:
-        """Return the pose that the robot reports if its odometry has computed `pose`."""
+        """Return the reported pose for the odometry's `pose`."""
         if SimFault.ODOM_JUMP in self:
             return Pose(pose.x + JUMP_M, pose.y, pose.theta)
         return pose
 
     def reported_level(self, level: float) -> float:
-        """Return the level that the robot reports if its battery is at `level`."""
+        """Return the reported battery level for the true `level`."""
         return min(level, BROWNOUT_LEVEL) if SimFault.BROWNOUT in self else level
 
 

@@ -21,7 +21,7 @@ _PORT_BASE, _PORTS_PER_DOMAIN = 7400, 250
 """The well-known ports of a domain (DDSI-RTPS 2.5, 9.6.2.3, Well-known Ports)."""
 
 _FIRST_OWN_PORT = 10
-"""The offset of the first participant's two ports; the even one of each pair is for discovery."""
+"""The offset of the first participant's port for discovery, which is even."""
 
 _RESERVATION = 9
 """The offset of the port that reserves a domain; DDS does not use it."""
@@ -36,7 +36,7 @@ _TABLES = ("/proc/net/udp", "/proc/net/udp6")
 
 
 def requested_domain(given: int | None) -> int | None:
-    """Return `given` (--domain-id), else the value of ROS_DOMAIN_ID; None if both are unset.
+    """Return `given` (--domain-id) or else ROS_DOMAIN_ID, None if both are unset.
 
     Raises:
         UsageError: The number is not a ROS domain.
@@ -56,7 +56,7 @@ def discovery_range() -> str:
 
 
 def wider_discovery() -> str:
-    """Return the setting that makes this process discover other machines, or "" if none does."""
+    """Return the setting that makes this process discover other machines, "" if none does."""
     if discovery_range() == "OFF":
         return ""
     if discovery_range() in _WIDER_RANGES:
@@ -70,7 +70,7 @@ def is_on_this_machine_only() -> bool:
 
 
 def is_certainly_empty(domain_id: int) -> bool:
-    """Return True if the domain has no participants, False if it has or may have some."""
+    """Return whether the domain certainly has no participants."""
     ports = _bound_udp_ports()
     if ports is None or not is_on_this_machine_only():
         return False
@@ -105,11 +105,7 @@ def reserved_domain() -> Iterator[int]:
 
 
 def _free_domain() -> int:
-    """Return a random free domain.
-
-    Raises:
-        Refused: Every domain is in use.
-    """
+    """Return a random free domain; may raise Refused."""
     taken = {domain_id for domain_id, _ in _places(_bound_udp_ports() or set())}
     taken.add(int(os.environ.get("ROS_DOMAIN_ID") or 0))
     free = [domain_id for domain_id in DOMAINS if domain_id not in taken]

@@ -27,11 +27,11 @@ _MARKS = {
     _LIBRARIES: ("librcl.so",),
     _PREFIXES: ("share/rclpy", "lib/librcl.so"),
 }
-"""Files that identify, for each variable, a folder that would replace our rclpy."""
+"""Files of a folder that would replace our rclpy, by variable."""
 
 
 def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
-    """Prepare the environment for the import of rclpy; return a note after a restart, else "".
+    """Prepare the environment for the import of rclpy, and return a note after a restart, else "".
 
     To remove another ROS or middleware, it calls `before_restart` and restarts the process. It
     limits discovery to this machine, unless the user has chosen otherwise.

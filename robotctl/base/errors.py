@@ -152,7 +152,7 @@ _KINDS = (
 def error_for_exit_code(
     exit_code: int, text: str, details: Mapping[str, Any] | None = None
 ) -> RobotctlError:
-    """Return the error that another process sent; `details` is the result of its `details()`.
+    """Return the error of another process; `details` is the result of its `details()`.
 
     Details of an unknown form are ignored.
     """

@@ -25,7 +25,7 @@ MORE_OPEN_FILES: Final = "raise the limit with ulimit -n 1024, or LimitNOFILE in
 
 
 def end_signals() -> asyncio.Event:
-    """Return an event that is set by SIGINT, SIGTERM and, unless it is ignored (nohup), SIGHUP."""
+    """Return an event that SIGINT, SIGTERM and, unless ignored (nohup), SIGHUP set."""
     import asyncio  # here: quick commands import this module, but not asyncio
     import signal
 

@@ -18,7 +18,7 @@ MAX_SOCKET_PATH_BYTES = 107
 
 MAX_ROBOT_NAME_LENGTH = 48
 SHARED_FOLDER = Path("/tmp")
-"""The folder of `robotctl-UID` if RUNTIME_VARIABLE is not set; every user may write to it."""
+"""The folder of `robotctl-UID` without RUNTIME_VARIABLE; every user may write to it."""
 
 RUNTIME_VARIABLE = "XDG_RUNTIME_DIR"
 STATE_VARIABLE = "XDG_STATE_HOME"
@@ -73,12 +73,12 @@ def runtime_folder() -> Path:
 
 
 def unit_runtime_base(robot: str) -> Path:
-    """Return the folder that RUNTIME_VARIABLE names if a systemd system unit starts the daemon."""
+    """Return the folder in RUNTIME_VARIABLE of a daemon that a systemd system unit starts."""
     return SYSTEM_RUNTIME / f"{UNIT_PREFIX}{robot}"
 
 
 def state_folder() -> Path:
-    """Return the folder of logs and emergency-stop latches, which survives a reboot.
+    """Return the folder of logs and emergency-stop latches; it survives a reboot.
 
     Raises:
         UsageError: The user has no home folder.
@@ -144,7 +144,7 @@ def log_path(robot: str) -> Path:
 
 
 def latch_path(robot: str) -> Path:
-    """Return the path of the file that latches EMERGENCY_STOP; it contains the reason."""
+    """Return the path of the file that latches EMERGENCY_STOP, with the reason in it."""
     return robot_state_folder(robot) / "emergency-stop"
 
 

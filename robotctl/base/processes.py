@@ -26,7 +26,7 @@ _FIRST_FREE_FD: Final = 10
 
 
 def open_pipe() -> tuple[int, int]:
-    """Return the read and write ends of a pipe; a child inherits only the end that it is given."""
+    """Return the read and write ends of a pipe, which no child inherits by itself."""
     ends = os.pipe()
     try:
         reading = _moved(ends[0])
@@ -50,7 +50,7 @@ def _moved(end: int) -> int:
 
 
 def write_whole(descriptor: int, line: bytes) -> None:
-    """Write the whole line; continue if a signal interrupts the write."""
+    """Write the whole line, also if signals interrupt it."""
     while line:
         line = line[os.write(descriptor, line) :]
 
@@ -149,7 +149,7 @@ class Child:
         self._exit_code: int | None = None
 
     def fileno(self) -> int:
-        """Return the descriptor that becomes readable when the child sends a report or ends."""
+        """Return the descriptor of the child's reports, which is also readable after its end."""
         return self._reports
 
     @property
@@ -158,7 +158,7 @@ class Child:
         return self._stdin is not None
 
     def send(self, line: bytes) -> None:
-        """Write a line to the child's stdin; drop the line unless `has_stdin`.
+        """Write a line to the child's stdin, if `has_stdin`.
 
         Raises:
             BrokenPipeError: The child has closed its stdin.
@@ -173,7 +173,7 @@ class Child:
             self._stdin = None
 
     def receive(self, seconds: float | None = None) -> list[dict[str, Any]]:
-        """Wait for data; return the reports that are complete, possibly none.
+        """Wait for data, and return the complete reports, possibly none.
 
         Raises:
             TimeoutError: No data arrived within `seconds`.

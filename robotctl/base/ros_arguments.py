@@ -14,7 +14,7 @@ from typing import Final
 from robotctl.base.errors import UsageError
 
 LEVELS: Final = {"DEBUG": 10, "INFO": 20, "WARN": 30, "ERROR": 40, "FATAL": 50}
-"""The numbers of rcl_interfaces/msg/Log, which are also those of `logging`."""
+"""The numbers of rcl_interfaces/msg/Log and of `logging`."""
 
 UNSET: Final = 0
 """The level of a logger that inherits the level of its parent."""
@@ -22,14 +22,14 @@ UNSET: Final = 0
 
 @dataclass(frozen=True, slots=True)
 class LogLevel:
-    """The level of `logger`, or, if `logger` is "", of all loggers without a level of their own."""
+    """The level of `logger`, or, for "", of all loggers without a level of their own."""
 
     logger: str
     level: int
 
 
 def read_log_level(text: str) -> LogLevel:
-    """Parse the value of `--log-level`, which is LEVEL or LOGGER:=LEVEL.
+    """Parse the value LEVEL or LOGGER:=LEVEL of `--log-level`.
 
     Raises:
         UsageError: The text has another form, or there is no such level.
@@ -43,7 +43,7 @@ def read_log_level(text: str) -> LogLevel:
 
 
 def level_name(level: int) -> str:
-    """Return the name of the highest ROS level that is at most `level`, "UNSET" if none is."""
+    """Return the name of the highest ROS level up to `level`, "UNSET" if there is none."""
     return max((each, name) for name, each in {"UNSET": UNSET, **LEVELS}.items() if each <= level)[
         1
     ]
@@ -64,7 +64,7 @@ _TAKEN = (
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """A parameter from `-p [NODE:]KEY:=VALUE`. A `node` "" stands for all nodes; `text` is YAML."""
+    """A parameter from `-p [NODE:]KEY:=VALUE`; `node` "" is every node, `text` is YAML."""
 
     node: str
     key: str
@@ -73,7 +73,7 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class Remap:
-    """A remapping rule from `-r [NODE:]FROM:=TO`; if `node` is "", it is for all nodes."""
+    """A remapping rule from `-r [NODE:]FROM:=TO`; `node` "" is every node."""
 
     node: str
     source: str

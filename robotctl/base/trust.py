@@ -20,7 +20,7 @@ UNIT_PREFIX: Final = "robotctl-"
 PRIVATE_MODE: Final = 0o700
 
 SHARED_MODE: Final = 0o750
-"""The mode of a socket folder for a group: its members can connect, but replace nothing."""
+"""The mode of a group's socket folder, in which its members can only connect."""
 
 OVERFLOW_UID: Final = 65534
 """The uid that a container shows for each user without a mapping (user_namespaces(7))."""

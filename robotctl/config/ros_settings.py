@@ -40,7 +40,6 @@ PREFIXES: Final = {
 """The key prefixes of each node; a key belongs to the first node with a matching prefix."""
 
 NODES: Final = tuple(PREFIXES)
-"""The nodes that have parameters."""
 
 
 def node_of(key: str) -> str:
@@ -124,7 +123,7 @@ USE_SIM_TIME: Final = "use_sim_time"
 
 @dataclass(frozen=True, slots=True)
 class RosSettings:
-    """The configuration, changed by `--ros-args`; `remaps` are the remaps that rcl must apply."""
+    """The configuration after `--ros-args`, with the `remaps` that are left for rcl."""
 
     config: Config
     remaps: tuple[Remap, ...]
@@ -168,7 +167,7 @@ def _given_values(given: RosArguments, namespace: str) -> dict[str, object]:
 
 
 def _settings(setting: Assignment | Path, names: dict[str, str]) -> Iterator[tuple[str, object]]:
-    """Yield each key and value that a `-p` or a file sets; `names` maps a node to its full name."""
+    """Yield each key and value of a `-p` or a file; `names` maps a node to its full name."""
     if isinstance(setting, Assignment):
         if setting.node:
             _check_node(setting.node, f"-p {setting.node}:{setting.key}")

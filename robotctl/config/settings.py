@@ -42,11 +42,11 @@ class RecordingParams:
 
     compression: Compression = setting(Compression.ZSTD, "compression of the chunks", Change.START)
     max_total_gb: float = bounded(20.0, 0.0, 1e6, "GB", "size of all recordings that are kept")
-    """Beyond it, the oldest recordings are removed, except those marked to be kept; 0: no limit."""
+    """Beyond it, the oldest recordings that are not marked to be kept are removed; 0: no limit."""
     max_age_days: float = bounded(
         30.0, 0.0, 1e5, "days", "age of the oldest recording that is kept"
     )
-    """Older recordings are removed, except those marked to be kept; 0: no limit."""
+    """Older recordings that are not marked to be kept are removed; 0: no limit."""
     include: tuple[str, ...] = setting((), "topics that are recorded", Change.START)
     exclude: tuple[str, ...] = setting((), "topics that are not recorded", Change.START)
     clip_before_s: float = bounded(
@@ -137,7 +137,6 @@ _PATTERN = re.compile(r"(?:type:|(?=[/*?\[]))[A-Za-z0-9_/*?!\[\]-]{1,300}")
 MAX_RATE_HZ = 1e5
 RATES_HELP = 'use topics, globs or types with rates, such as {"/camera/*": 5}'
 MAX_GROUP_NAME = 256
-"""Limit on the length of a group's name."""
 
 PATTERN_HELP = "a topic (/scan), a glob (/camera/*) or a type (type:sensor_msgs/msg/Image)"
 
@@ -236,7 +235,7 @@ def is_topic_pattern(value: object) -> bool:
 
 
 def not_allowed(key: str, value: object, allowed: str) -> ConfigError:
-    """Return the error for a value that is not allowed; `allowed` says what to use."""
+    """Return the error for a value; `allowed` is advice."""
     return ConfigError(f"{key}: {short_repr(value)} is not allowed", allowed)
 
 
@@ -309,7 +308,7 @@ def with_text(config: Config, key: str, text: str) -> Config:
 
 
 def flat(config: Config) -> dict[str, object]:
-    """Return every dotted key with its value, in the form that a file uses."""
+    """Return every dotted key with its value in the form of a file."""
     return {key: as_in_file(value_at(config, leaf.path)) for key, leaf in keyed_leaves(config)}
 
 
@@ -348,7 +347,7 @@ def _checked(config: Config, key: str, leaf: Leaf, value: object) -> Config:
 
 
 FileValue = bool | int | float | str | list[str]
-"""A value in the form that a file uses."""
+"""A value in the form of a file."""
 
 
 class Kind(Enum):
@@ -366,7 +365,7 @@ _KINDS = {bool: Kind.BOOLEAN, int: Kind.INTEGER, float: Kind.NUMBER, str: Kind.T
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """Describes one parameter; `range` is None unless the parameter is a number with limits."""
+    """The description of a parameter; `range` is None except for numbers with limits."""
 
     key: str
     kind: Kind
@@ -527,7 +526,7 @@ def _text(path: Path) -> bytes:
 
 
 def _line_of(path: Path, key: str) -> int | None:
-    """Return the number of the last line that sets the dotted `key`, None if it is not found."""
+    """Return the number of the last line with the dotted `key`, None if it is not found."""
     import yaml
 
     def lines(node: yaml.Node | None, prefix: str) -> Iterator[tuple[str, int]]:

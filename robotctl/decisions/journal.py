@@ -25,7 +25,6 @@ from robotctl.base.paths import make_private, robot_state_folder
 from robotctl.kernel.constants import DAY_S
 
 MAX_LINE_BYTES: Final = 32_768
-"""Limit on the length of an entry."""
 
 MAX_TEXT: Final = 500
 """Limit on the characters of a text in an entry; longer texts are cut."""
@@ -43,10 +42,9 @@ YEAR_S: Final = 365.25 * DAY_S
 """The unit of `decisions.keep_years` in seconds."""
 
 KEPT_FILES: Final = 2
-"""The number of newest files that are never removed, even if the clock is years ahead."""
+"""The number of newest files that are never removed, whatever the clock says."""
 
 FOLDER: Final = "decisions"
-"""The name of the journal's folder, in the state folder of the robot."""
 
 _NAME: Final = re.compile(r"decisions-(?!000000)\d{6}\.jsonl")
 _OLD_HASH_CHARACTERS: Final = 16
@@ -63,10 +61,10 @@ class DecisionKind(StrEnum):
     """The daemon ended: `failure`, if there was an error. A kill or a power cut leaves no END."""
 
     SOFTWARE = "software"
-    """Versions and digest; written if one of them differs from the last entry of this kind."""
+    """Versions and digest, written after a change."""
 
     CONFIGURATION = "configuration"
-    """All settings; written if one of them differs from the last entry of this kind."""
+    """All settings, written after a change."""
 
     MODE = "mode"
     """The mode changed: `from`, `to`, `reason`, `cause`; `latched` or `released` for a stop."""
@@ -97,7 +95,7 @@ class DecisionKind(StrEnum):
 
 
 ABOUT_SEALS: Final = (DecisionKind.OPENED, DecisionKind.CLOSED, DecisionKind.ROTATED)
-"""The kinds of entries that are never removed, and that no budget limits."""
+"""The kinds of entries without retention and budget."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +146,7 @@ def log_folder(robot: str) -> Path:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """Return the journal's files except file 0, the oldest first; [] if `folder` cannot be read."""
+    """Return the journal's files without file 0, the oldest first; [] if `folder` is unreadable."""
     with suppress(OSError):
         return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
     return []
@@ -204,7 +202,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def last_file(folder: Path) -> Path:
-    """Return the newest file, or a new file if it is full; complete a torn last line.
+    """Return the newest file, or a new one if it is full; complete a torn last line.
 
     Raises:
         OSError: The file cannot be written.
@@ -290,7 +288,7 @@ def head_of(folder: Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OpenedLine:
-    """An OPENED entry at `place`; its value `journal` must equal `before`, the digests up to it."""
+    """An OPENED entry, whose value `journal` must equal the digests in `before`."""
 
     entry: Entry
     place: str

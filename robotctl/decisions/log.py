@@ -74,7 +74,7 @@ class DecisionLog:
         steady_s: Callable[[], float] = time.monotonic,
         retry_s: float = RETRY_S,
     ) -> None:
-        """Write entries into `folder`; remove files older than `keep_s` seconds, none if it is 0.
+        """Write entries into `folder`; remove files older than `keep_s` seconds (0: none).
 
         `now_ns` is the wall clock of the entries, `steady_s` the clock of the budget.
         """

@@ -34,7 +34,7 @@ def healthy(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 def reported(cause: Cause) -> Check:
-    """Return the check that finds `cause` among the faults that the daemon reported."""
+    """Return the check for `cause` among the faults of the daemon's reports."""
 
     def check(health: Health, params: KernelParams, t_ns: int) -> str:
         for reported, detail in health.reported:
@@ -204,7 +204,6 @@ def tick_overrun(health: Health, params: KernelParams, t_ns: int) -> str:
 
 
 LEVEL_OF_ERROR = 2.0
-"""The level of DiagnosticStatus.ERROR."""
 
 _ESTOP, _JOY, _BUMPER, _TILT, _DIAGNOSTICS = range(len(SafetyInput))
 """The index of each input in `Health.inputs`."""

@@ -324,7 +324,6 @@ class Drive:
         return abs(error.x) < SETTLED_M and abs(error.theta) < SETTLED_RAD
 
     def _held_for(self, dt_s: float, held: Held) -> Drive:
-        """Return the drive after `dt_s` of a held velocity; `progress.length` is in seconds."""
         if held.is_held_to_run:
             return self
         held_s = self.progress.length + dt_s
@@ -332,7 +331,6 @@ class Drive:
         return self._at(replace(self.progress, length=held_s, laps=int(is_over)))
 
     def _after_stop(self, at: Progress) -> Progress:
-        """Return the progress after a stop."""
         if at.segment + 1 < len(self.path.segments):
             return Progress(at.laps, at.segment + 1, closure_m=at.closure_m)
         if at.laps + 1 == self.laps:
@@ -340,7 +338,6 @@ class Drive:
         return Progress(at.laps + 1, closure_m=at.closure_m)
 
     def _next_lap(self, at: Progress, pose: Pose) -> Drive:
-        """Return the drive on its next lap."""
         end = self.origin if self.path.closed else self.origin.compose(self.path.end)
         drive = self._at(replace(at, closure_m=end.distance(pose)))
         return drive if self.path.closed or drive.finished else replace(drive, origin=end)

@@ -18,7 +18,7 @@ MAX_CORNERS = 64
 
 @dataclass(frozen=True, slots=True)
 class FenceParams:
-    """The circle and the polygon that the robot must not leave; 0 or "" if there is none."""
+    """The circle and the polygon around the robot's allowed area, 0 or "" for none."""
 
     radius_m: float = bounded(
         0.0, 0.0, 1e5, "m", "distance from the start of the first motion; 0: no limit", Change.START

@@ -51,7 +51,7 @@ _SHORTEST, _LONGEST = (1.0 - QUATERNION_TOLERANCE) ** 2, (1.0 + QUATERNION_TOLER
 
 
 def yaw_of(x: float, y: float, z: float, w: float) -> float:
-    """Return a quaternion's rotation about the z axis [rad]; NaN unless its length is about 1."""
+    """Return a quaternion's rotation about the z axis [rad], NaN if its length is not about 1."""
     if not _SHORTEST <= x * x + y * y + z * z + w * w <= _LONGEST:
         return nan
     return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

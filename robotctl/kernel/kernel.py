@@ -96,7 +96,7 @@ class Kernel:
         self._effects: list[Effect] = []
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Handle one event; return the effects that the caller must carry out, in order."""
+        """Handle one event and return its effects; the caller must carry them out in order."""
         self._effects = []
         match event:
             case Tick():
@@ -169,13 +169,13 @@ class Kernel:
     # Health
 
     def _learn(self, t_ns: int, **changes: object) -> None:
-        """Change fields of the health; change the mode at once if they reveal a fault."""
+        """Change fields of the health, and the mode at once after a fault."""
         self._notice_gap(t_ns)
         self.state = changed(self.state, health=changed(self.state.health, **changes))
         self._raise_fault(t_ns)
 
     def _notice_gap(self, t_ns: int) -> None:
-        """Record a gap between ticks first: data that it made stale is not the cause of a stop."""
+        """Record a gap between ticks before its consequences, such as stale data."""
         gap_s, health = self._tick_gap_s(t_ns), self.state.health
         late_s = gap_s if abs(gap_s) > self.params.max_tick_gap_s else 0.0
         if late_s != health.tick_gap_s:
@@ -195,7 +195,7 @@ class Kernel:
         return tuple(entry for entry in self.state.health.reported if entry[0] is not cause)
 
     def _stalled(self, event: LoopStalled) -> None:
-        """Continue from the zeros that the watchdog sent; in MOVING, a long stall is a fault."""
+        """Continue from the watchdog's zeros; in MOVING, a long stall is a fault."""
         state, limit_s = self.state, self.params.max_tick_gap_s
         stalls = Stalls(state.health.stalls.count + 1, event.t_ns, event.stalled_s, event.detail)
         drive = None if state.drive is None else state.drive.from_standstill()
@@ -234,7 +234,6 @@ class Kernel:
         return min(max(self._tick_gap_s(t_ns), 0.0), 2.0 / self.params.rate_hz)
 
     def _rise_ticks(self) -> int:
-        """Return the number of ticks in which an acceleration builds up."""
         return round(self.params.limits.accel_rise_s * self.params.rate_hz) or 1
 
     def _is_silent(self, t_ns: int) -> bool:
@@ -251,7 +250,7 @@ class Kernel:
         return silent
 
     def _move(self, t_ns: int, dt_s: float) -> None:
-        """Command the next velocity of the motion; end the motion when its ramp is at zero."""
+        """Command the next velocity of the motion; end the motion at the end of its ramp."""
         state, params = self.state, self.params
         drive, odometry, phase = state.drive, state.health.odometry, state.phase
         driving, stop_reason, target = phase is Phase.DRIVING, state.stop_reason, ZERO
@@ -421,7 +420,7 @@ class Kernel:
             self._accept(request_id, "Drive replaced: mode is MOVING")
 
     def _may_start(self, t_ns: int, request_id: int) -> bool:
-        """Return whether every start condition holds; if not, refuse the request."""
+        """Return whether every start condition holds; otherwise refuse the request."""
         self._notice_gap(t_ns)
         finding = failed_start_condition(self.state.health, self.params, t_ns)
         if finding is not None:
@@ -512,7 +511,7 @@ class Kernel:
             self._accept(event.request_id, "Lease taken")
 
     def _end_lease(self, reason: str) -> None:
-        """Remove the lease; if the robot is MOVING, ramp down."""
+        """Remove the lease, and end a motion by a ramp."""
         state = replace(self.state, lease=None)
         if state.mode is Mode.MOVING:
             stop_reason = state.stop_reason or reason
@@ -552,7 +551,7 @@ class Kernel:
         self._accept(event.request_id, f"{event.key} is {event.new}")
 
     def _changed_params(self, event: ParameterRequested) -> KernelParams | None:
-        """Return the new parameters; refuse the request and return None if they are not allowed."""
+        """Return the new parameters, None after a refusal."""
         try:
             params = with_text(self.params, event.key, event.new)
         except ValueError as error:

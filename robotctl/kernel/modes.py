@@ -42,7 +42,7 @@ class Guard(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """The mode after a trigger, if `guard` allows the change. Guard.NEVER refuses the trigger."""
+    """The mode after a trigger that `guard` allows; Guard.NEVER refuses the trigger."""
 
     target: Mode
     guard: Guard = Guard.NONE
@@ -66,7 +66,6 @@ def _table() -> dict[tuple[Mode, Trigger], Transition]:
 
 
 TRANSITIONS: Mapping[tuple[Mode, Trigger], Transition] = MappingProxyType(_table())
-"""The transition for each mode and trigger."""
 
 REQUESTS: Mapping[Mode, Trigger] = MappingProxyType(
     {

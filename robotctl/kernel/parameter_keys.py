@@ -22,7 +22,7 @@ class Leaf(NamedTuple):
 
 
 class Conflict(NamedTuple):
-    """A parameter that conflicts with another; `allowed` is advice such as "use at least 2 s"."""
+    """A conflict of a parameter with another; `allowed` is advice such as "use at least 2 s"."""
 
     key: str
     value: object

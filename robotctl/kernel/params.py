@@ -44,7 +44,7 @@ class TrackingParams:
 
 
 class Stamping(Enum):
-    """The type of commands; AUTO uses the type to which the base subscribes."""
+    """The type of commands; AUTO is the type of the base's subscription."""
 
     AUTO = "auto"
     TRUE = "true"

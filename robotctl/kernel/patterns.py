@@ -247,7 +247,6 @@ SHAPES: Mapping[PatternKind, Shape] = MappingProxyType(
         ),
     }
 )
-"""The shape of every kind of pattern."""
 
 
 def named(pattern: Pattern, course: Course) -> str:

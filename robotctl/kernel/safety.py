@@ -110,7 +110,7 @@ RULES: tuple[Rule, ...] = (
     _rule(Cause.BATTERY_UNKNOWN, _MOVING, checks.battery_unknown, Remedy.CHECK_BATTERY_TOPIC),
     _rule(Cause.OPERATOR_ERROR, _NEVER, checks.healthy, Remedy.CLEAR_ERROR),
 )
-"""Every cause, the most severe first; the action is ERROR unless it is named."""
+"""Every cause, the most severe first; the default action is ERROR."""
 
 RULE_OF: Mapping[Cause, Rule] = MappingProxyType({rule.cause: rule for rule in RULES})
 
@@ -121,7 +121,7 @@ FAULT_TRIGGERS: Mapping[Mode, Trigger] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A rule that applies now; `detail` is the sentence that its check returned."""
+    """A rule that applies now, with the sentence of its check."""
 
     rule: Rule
     detail: str
@@ -148,7 +148,7 @@ _FEWEST_IN = _rules_in(
 
 
 def raised(mode: Mode, health: Health, params: KernelParams, t_ns: int) -> Finding | None:
-    """Return the most severe finding that must change `mode` now, None if there is none."""
+    """Return the most severe finding that changes `mode` now, None if there is none."""
     if health.reported:
         rules = _RULES_IN
     elif health.inputs or health.scan is not None or checks.is_any_required(params):
@@ -190,13 +190,13 @@ def remedies_for(cause: Cause | None) -> tuple[Remedy, ...]:
 
 
 def remedies_to_move(cause: Cause) -> tuple[Remedy, ...]:
-    """Return the remedies, in order, that allow motion after ERROR or EMERGENCY_STOP by `cause`."""
+    """Return the remedies, in order, for motion after ERROR or EMERGENCY_STOP by `cause`."""
     remedy = RULE_OF[cause].remedy
     return (remedy,) if remedy in RESETTING else (remedy, Remedy.RESET)
 
 
 def uncleared(cause: Cause, health: Health, params: KernelParams, t_ns: int) -> Finding | None:
-    """Return the finding that keeps `cause` from clearing, None if the cause has cleared."""
+    """Return the finding against clearing `cause`, None if the cause has cleared."""
     rule = RULE_OF[cause]
     detail = rule.clear_check(health, params, t_ns)
     return Finding(rule, detail) if detail else None

@@ -36,7 +36,7 @@ REPEATS_PER_TIMEOUT = 4
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """The last message of an input; `value` is NaN if unreadable, `detail` is the sender's text."""
+    """The last message of an input; `value` is NaN for an unreadable message."""
 
     kind: SafetyInput
     value: float

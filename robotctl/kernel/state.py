@@ -126,7 +126,7 @@ UNKNOWN = Health()
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A motion that another node steers; its last request was `twist` at `t_ns`, None if never."""
+    """A motion that another node steers; `t_ns` is the time of its last request, None if never."""
 
     twist: Twist = ZERO
     t_ns: int | None = None
@@ -170,7 +170,7 @@ class State:
 
 
 def latched(reason: str, cause: Cause = Cause.OPERATOR_STOP) -> State:
-    """Return the state after a restart with an emergency stop that was not released."""
+    """Return the state after a restart with a latched emergency stop."""
     return State(mode=Mode.EMERGENCY_STOP, reason=reason, cause=cause)
 
 
@@ -186,7 +186,7 @@ def counts_in_percent(raw: float, before: bool, scale: BatteryScale) -> bool:
 
 
 def level_of(raw: float, in_percent: bool) -> float:
-    """Return the battery level that the gauge reports as `raw`; 1 is full."""
+    """Return the battery level of the gauge's report `raw`; 1 is full."""
     return raw / 100.0 if in_percent else raw
 
 

@@ -35,7 +35,7 @@ def allowed(command: Twist, limits: VelocityLimits) -> Twist:
 
 
 def limit(current: Twist, target: Twist, dt_s: float, limits: VelocityLimits) -> Twist:
-    """Return the command nearest to `target` that `limits` allow `dt_s` [s] after `current`."""
+    """Return the command nearest to `target` within the `limits`, `dt_s` [s] after `current`."""
     linear = clamp(target.linear, limits.linear_mps)
     angular = clamp(target.angular, limits.angular_rps)
     return Twist(
@@ -68,7 +68,7 @@ class Reference:
 
 
 def track(reference: Reference, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
-    """Return a command that brings a robot at `pose` to the reference; `angular` is not limited."""
+    """Return a command that leads a robot at `pose` to the reference; `angular` is not limited."""
     error = pose.express(reference.pose)
     ahead, aside = direction(error.theta)
     sinc = aside / error.theta if abs(error.theta) > 1e-6 else 1.0

@@ -167,7 +167,7 @@ _P4, _P5 = -1.65339022054652515390e-06, 4.13813679705723846039e-08
 
 
 def exp(x: float) -> float:
-    """Return e to the power of x; ValueError unless -700 <= x <= 700."""
+    """Return e to the power of x; ValueError outside -700 to 700."""
     if not -700.0 <= x <= 700.0:
         raise ValueError("the exponent must be between -700 and 700")
     doublings = round(x / (_LN2_HIGH + _LN2_LOW))

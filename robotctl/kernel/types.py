@@ -169,7 +169,7 @@ class LifecycleChanged:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """The next command is due; `missed` ticks just before this tick were skipped."""
+    """The next command is due, after `missed` skipped ticks."""
 
     t_ns: int
     missed: int = 0
@@ -335,7 +335,7 @@ class CommandListenersSeen:
 
 @dataclass(frozen=True, slots=True)
 class GuardedCommandReceived:
-    """A velocity from another node that steers the motion; it is unchecked and may be NaN.
+    """A steering node's velocity, which is unchecked and may be NaN.
 
     `publisher` and `sequence`: see `BatteryReceived`.
     """
@@ -452,7 +452,7 @@ class PublishTwist:
 
 @dataclass(frozen=True, slots=True)
 class ModeChanged:
-    """The mode changed; `cause` is None unless the new mode is ERROR or EMERGENCY_STOP."""
+    """The mode changed; `cause` is that of ERROR or EMERGENCY_STOP, else None."""
 
     previous: Mode
     mode: Mode
@@ -462,7 +462,7 @@ class ModeChanged:
 
 @dataclass(frozen=True, slots=True)
 class LatchEmergencyStop:
-    """An emergency stop that must survive restarts; if `cause` is None, the operator stopped."""
+    """An emergency stop that must survive restarts; `cause` None stands for the operator."""
 
     reason: str
     cause: Cause | None = None

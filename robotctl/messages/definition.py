@@ -228,7 +228,7 @@ def fields_in(owner: str, text: str, most: int) -> Iterator[Field]:
 
 
 def _length(length: object) -> int:
-    """Return a length or bound; raise UnreadableType unless it is from 1 to MAX_LENGTH."""
+    """Return a length or bound from 1 to MAX_LENGTH; may raise UnreadableType."""
     if not isinstance(length, int) or not 0 < length <= MAX_LENGTH:
         raise UnreadableType(f"a length of {str(length)[:20]} is not in 1 to {MAX_LENGTH}")
     return length

@@ -71,7 +71,7 @@ def read_odometry(data: bytes) -> Odometry:
 
 
 def _decode(data: bytes) -> tuple[float, float, float, float, float, int]:
-    """Return the numbers of a Sample; raise struct.error if `data` is malformed."""
+    """Return the numbers of a Sample; may raise struct.error."""
     if data[:2] != LITTLE_ENDIAN:
         return _read_odometry(CdrReader(data))
     seconds, nanoseconds = _STAMP.unpack_from(data, BODY)
@@ -158,17 +158,17 @@ def _begun(frame_id: str) -> CdrWriter:
 
 
 FRAME_AT = BODY + _STAMP.size
-"""The offset of the frame_id in a message that begins with a header."""
+"""The offset of the frame_id in a message with a header."""
 
 
 def frame_bytes(data: bytes) -> bytes:
-    """Return the serialized frame_id, with its length, of a message that begins with a header."""
+    """Return the serialized frame_id, with its length, of a message with a header."""
     (length,) = _LENGTH.unpack_from(data, FRAME_AT) if len(data) >= FRAME_AT + 4 else (0,)
     return data[FRAME_AT : FRAME_AT + _LENGTH.size + length]
 
 
 def frame_id_of(data: bytes) -> str:
-    """Return the frame_id of a message that begins with a header, "" if it is not little endian."""
+    """Return the frame_id of a message with a header, "" for big endian."""
     if data[:2] != LITTLE_ENDIAN:
         return ""
     return frame_bytes(data)[_LENGTH.size :].removesuffix(b"\0").decode(errors="replace")
@@ -260,10 +260,10 @@ MESSAGE_TYPES = {
 }
 
 MAX_DIAGNOSES = 256
-"""Limit on the DiagnosticStatus names that are kept; beyond it, the least severe one is dropped."""
+"""Limit on the stored DiagnosticStatus names; beyond it, the least severe one is dropped."""
 
 MAX_STATUSES = 2_000
-"""Limit on the DiagnosticStatus entries of a message; a message with more is unreadable."""
+"""Limit on the DiagnosticStatus entries of a readable message."""
 
 MAX_VALUES = 20_000
 """Limit on the key-value pairs in one message, which take about 20 ms to read."""

@@ -20,7 +20,7 @@ from robotctl.messages.definition import (
 )
 
 MAX_TYPE_NAME: Final = 255
-"""Limit on the characters of a type name; a longer one does not fit into Fast DDS's discovery."""
+"""Limit on the characters of a type name, because of Fast DDS's discovery."""
 
 _CALL = r"(?:_Request|_Response|_Event)?"
 _IMPLIED = {
@@ -67,7 +67,7 @@ def parse_type_name(type_name: str) -> TypeName:
 
 
 class InstalledType(NamedTuple):
-    """A type's definition as ros2msg text, and its RIHS01 hash; each is "" if it was not found."""
+    """A type's definition as ros2msg text, and its RIHS01 hash, each "" if unknown."""
 
     text: str
     type_hash: str

@@ -60,7 +60,6 @@ QOS = """\
     nsec: 854775807
   avoid_ros_namespace_conventions: false
 """
-"""The quality of service that every recorded publisher offers."""
 
 
 def installed_topic(name: str, type_name: str) -> Topic:
@@ -210,7 +209,7 @@ def record(
 
 
 def _noted_event(entry: JournalEntry, now_ns: int) -> RecordedEvent | None:
-    """Return the event that a daemon records with this journal entry, None if there is none."""
+    """Return the event that a daemon records with this journal entry, or None."""
     if entry.kind is not EntryKind.EFFECT:
         return None
     try:

@@ -42,7 +42,7 @@ _HEADER = struct.pack("<4siII1s3x", ENCAPSULATION, 0, 0, 1, b"\0")
 
 
 def safety_message(kind: SafetyInput, value: float, detail: str = "") -> bytes:
-    """Return a message of `kind`, b"" if `value` is NaN; `detail` is a diagnostic as NAME: TEXT."""
+    """Return a message of `kind`, b"" for NaN; `detail` is a diagnostic as NAME: TEXT."""
     if isnan(value):
         return b""
     if kind is SafetyInput.JOY:
@@ -81,7 +81,7 @@ def _scan(sectors: tuple[float, ...]) -> bytes:
 
 
 class HearingKernel(Kernel):
-    """A kernel that serializes and numbers the message of each input before it decides.
+    """A kernel that gets each input as a serialized, numbered message.
 
     `heard` is the last event; `messages` maps (topic, number) to a message.
     """

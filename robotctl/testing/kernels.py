@@ -157,7 +157,7 @@ def reset(bench: Bench) -> bool:
 
 
 def start(bench: Bench) -> str:
-    """Request MOVING; return the text of the refusal, "" if the request was accepted."""
+    """Request MOVING; return the text of a refusal, else ""."""
     bench.request(Mode.MOVING)
     return "" if bench.replies[-1].ok else bench.replies[-1].message
 

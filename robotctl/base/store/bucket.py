@@ -49,7 +49,7 @@ _Result = TypeVar("_Result")
 _Request = Callable[[], Coroutine[Any, Any, _Result]]
 
 _PAUSE_S: Final = 0.2
-"""The pause before a request is repeated because its answer broke off."""
+"""The pause before a broken answer is requested again."""
 
 MAX_RETRIES: Final = 8
 
@@ -62,7 +62,7 @@ _WRITTEN: Final = "mtime"
 """The attribute with the time of writing [ns since the epoch], as in rclone."""
 
 _LIBRARY_LETS_GO_S: Final = 0.5
-"""The time for the library's threads to end after a cancellation; they cannot be joined."""
+"""The time for the library's threads to end after a cancellation, as they cannot be joined."""
 
 _CREDENTIALS: Final = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; for a public bucket "
@@ -89,7 +89,7 @@ _REASONS: Final = {
     "CONTENT_RANGE": "the server claims a size that no file can have",
     "Connect": "the server cannot be reached",
 }
-"""Words in an error text and their meaning; the first one that is found is used."""
+"""Words in an error text and their meaning, of which the first applies."""
 
 _INSTANCE_METADATA: Final = re.compile(
     r"169\.254\.169\.254|metadata\.google|metadata\.azure|SharedKeyCredential|MissingKey"
@@ -171,7 +171,7 @@ class RemoteStore:
         return self._run(asked, key)
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return bytes `begin` to `end` (excluded); raise ObjectChanged if `found` is outdated."""
+        """Return bytes `begin` to `end` (excluded); raise ObjectChanged for an outdated `found`."""
         return requests().run(self._range(found, begin, end))
 
     async def _range(self, found: StoredObject, begin: int, end: int) -> bytes:
@@ -198,7 +198,7 @@ class RemoteStore:
         return await self._told(ranged, found.key)
 
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
-        """Store an object unless the key is in use; return whether it was stored.
+        """Store an object under an unused key; return whether it was stored.
 
         An object larger than PART_BYTES may replace one that another process stores meanwhile.
         """
@@ -434,7 +434,7 @@ def profile_keys(environment: Mapping[str, str]) -> S3Config:
 
 
 def _section(file: str, name: str) -> dict[str, str]:
-    """Return the values in a section; empty if there is none or the file cannot be read."""
+    """Return the values in a section, empty if it cannot be read."""
     parser = ConfigParser(interpolation=None, default_section="")
     try:
         parser.read_string(Path(file).expanduser().read_text(encoding="utf-8"))

@@ -69,7 +69,7 @@ class FolderStore:
             return _described(key, os.fstat(descriptor))
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return the bytes `begin` to `end` - 1; raise ObjectChanged if `found` is outdated."""
+        """Return the bytes `begin` to `end` - 1; raise ObjectChanged for an outdated `found`."""
         key = found.key
         with self._told(key), self._opened(key) as descriptor:
             if _described(key, os.fstat(descriptor)) != found:
@@ -80,7 +80,7 @@ class FolderStore:
             return data
 
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
-        """Store a file unless the name is in use; return whether it was stored."""
+        """Store a file under an unused name; return whether it was stored."""
         with self._told(key), self._filled(key, parts, stamp) as path:
             try:
                 _name_if_free(path, self._path(key))

@@ -73,7 +73,7 @@ class StoredObject:
     """The time of writing since the epoch; in a bucket's listing, the time of storing."""
 
     sha256: str = field(default="", compare=False)
-    """The hash that was stored with the object; "" if there is none, or in a listing."""
+    """The stored hash of the object; "" if there is none, or in a listing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,13 +128,13 @@ class ObjectStore(Protocol):
         """
 
     def put_if_absent(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> bool:
-        """Store an object as `put` does, unless the key is in use; return whether it was stored.
+        """Store an object under an unused key; return whether it was stored.
 
         The result is also False if the object was stored, but the server's answer was lost.
         """
 
     def put(self, key: str, parts: Iterable[bytes], stamp: Stamp = NO_STAMP) -> None:
-        """Store the object `key` from parts of any length; replace an object that has this key.
+        """Store `parts` of any length as the object `key`, in place of an existing one.
 
         The object appears when all parts are stored; if `parts` raises an exception, nothing is
         stored.
@@ -145,7 +145,7 @@ _URL: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
 
 SCHEMES: Final = ("s3", "gs", "az", "https", "http", "file")
 _WEB: Final = ("https", "http", "file")
-"""Schemes whose URLs are percent-encoded; in the others, a key is written as it is."""
+"""Schemes with percent-encoded URLs; in the others, a key is written as it is."""
 
 _HASH: Final = re.compile(r"[0-9a-f]{64}")
 _HASH_FOLDER: Final = re.compile(r"(?<![^/])[0-9a-f]{64}/")
@@ -240,7 +240,7 @@ def _has_hash_folder(path: Path | str) -> bool:
 
 
 def _first_folders(path: Path) -> list[str]:
-    """Return the first subfolders that are not hidden; an empty list if `path` is unreadable."""
+    """Return the first subfolders that are not hidden, none if `path` is unreadable."""
     with suppress(OSError), os.scandir(path) as found:
         folders = (
             each.path
