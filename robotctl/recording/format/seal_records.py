@@ -37,7 +37,7 @@ class LinkKind(IntEnum):
     """The purpose of a link in the hash chain."""
 
     LINK = 1
-    """A link in the data, directly behind the bytes that it covers."""
+    """A link in the data, directly behind the covered bytes."""
 
     HEAD = 2
     """The newest link, in the summary. Each commit overwrites it."""

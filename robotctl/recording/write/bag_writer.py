@@ -1,6 +1,6 @@
 """Write the files of one recording folder in rosbag2's layout.
 
-The event loop creates the BagWriter and reads its properties; the writer thread calls the rest.
+The event loop creates the BagWriter and reads its properties. The writer thread calls the rest.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ from robotctl.recording.write.recorder_options import RecorderOptions
 class RecordingFile:
     """Writer of one file. Not thread-safe.
 
-    `channels` may grow; a position in it is the channel's id. After an OSError, which any method
-    may raise, only `abandon` may be called.
+    `channels` may grow. The position of a channel is its id. Every method may raise OSError; only
+    `abandon` may be called afterwards.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class RecordingFile:
         self._finished = False
         self.event_count = 0
         self.seal = None if options.sealer is None else FileSeal(options.sealer)
-        """The seal of the file; None if the file is not to be sealed."""
+        """The seal of the file, or None."""
 
         storage = options.open_file(path)
         self._mcap = McapFile(
@@ -97,7 +97,7 @@ class RecordingFile:
         return self._mcap.summary
 
     def begin_seal(self) -> None:
-        """Begin to seal the file. Slow: this may import a library and sync a file."""
+        """Begin to seal the file. Slow, as this may import a library and sync a file."""
         if self.seal is not None:
             self._mcap.add_sealed(self.seal.open(self.path.name))
             self._mcap.commit()
@@ -164,7 +164,7 @@ class RecordingFile:
         return BagFile(self.path.name, summary.start_ns, summary.end_ns, dict(summary.counts))
 
     def _announce_topics(self) -> bool:
-        """Add schema and channel of each new topic; return whether there was one."""
+        """Add schema and channel of each new topic, and return whether there was one."""
         known = len(self._channels)
         if self._announced == known:
             return False
@@ -209,7 +209,7 @@ MAX_SHARE: Final = 0.25
 def repeats(
     channels: Sequence[ChannelState], newest_ns: int, split_bytes: int
 ) -> list[PlainMessage]:
-    """Return the latched messages that a new file repeats.
+    """Return the latched messages for a new file to repeat.
 
     `newest_ns` replaces the log times unless it is 0. Beyond MAX_SHARE of `split_bytes`, the
     largest messages are left out and counted in `not_repeated`.
@@ -233,17 +233,17 @@ METADATA_PERIOD_S = 10.0
 """Maximum age of the counts in `metadata.yaml`."""
 
 MAX_EVENTS = 1000
-"""Maximum number of events per file: each later event rewrites the summary, which has them all."""
+"""Maximum number of events per file. Each event rewrites the list of all of them."""
 
 MAX_INDEX_BYTES = 8 << 20
-"""Maximum size of the chunk index of a file: each chunk adds 10 bytes for each topic in it."""
+"""Maximum size of the chunk index of a file. Each chunk adds 10 bytes for each topic in it."""
 
 
 class BagWriter:
     """Writer of the files of one folder. Not thread-safe.
 
-    `channels` may grow; a position in it is the channel's id. After an OSError, which any method
-    may raise, only `abandon` may be called.
+    `channels` may grow. The position of a channel is its id. Every method may raise OSError; only
+    `abandon` may be called afterwards.
     """
 
     def __init__(
@@ -280,13 +280,13 @@ class BagWriter:
         self._begun = time.monotonic()
         self._file = self._new_file()
         self.path = self._file.path
-        """The current file: the last one that `metadata.yaml` lists."""
+        """The current file."""
 
         self._write_metadata()
 
     @property
     def warning(self) -> str:
-        """A sentence about low disk space or a seal that failed, "" if all is well."""
+        """A sentence about low disk space or a failed seal, or ""."""
         seal = self._file.seal
         return "; ".join(filter(None, [self._space_warning, "" if seal is None else seal.failure]))
 
@@ -308,7 +308,7 @@ class BagWriter:
             self._channels[channel].written += len(index) // 2
 
     def begin_seal(self) -> None:
-        """Begin to seal the first file; each later file is sealed from its beginning."""
+        """Begin to seal the first file. Later files are sealed from their beginning."""
         self._file.begin_seal()
 
     def write_topics(self) -> None:

@@ -36,7 +36,7 @@ class PackedMessages:
 
 
 class PackBuffer:
-    """Memory for many messages, which `Recorder.write` packs.
+    """Memory for many packed messages.
 
     A message must end by byte `limit`. The packer leaves a buffer whose `limit` is 0. `unordered`
     has the channels whose log times may step back.
@@ -55,7 +55,7 @@ class PackBuffer:
         self.indexes: list[array[int]] = []
         self.unordered: set[int] = set()
         self.size = capacity
-        """Bytes of memory in use; `weigh` adds those of the indexes."""
+        """Bytes of memory in use, with the indexes only after `weigh`."""
 
         self._taken = 0
 
@@ -133,7 +133,7 @@ class LargeMessage:
         return len(self._message[1])
 
     def take(self) -> PackedMessages:
-        """Return the message as a chunk that holds nothing else.
+        """Return the message as a chunk of its own.
 
         Raises:
             MemoryError: There is no memory for the chunk.
@@ -172,10 +172,10 @@ def pack(messages: Iterable[PlainMessage]) -> PackedMessages:
 
 
 _CACHED = {"window_log": 18, "hash_log": 13}
-"""Sizes of zstd's tables that fit into the L1 and L2 caches: a third faster, and as small."""
+"""Sizes of zstd's tables for the L1 and L2 caches. A third faster, and as small."""
 
 JOINED_BYTES = 8 << 20
-"""Larger pairs of parts are compressed as a stream, which takes 10 % longer than joined parts."""
+"""Larger pairs of parts are compressed as a stream, 10 % slower than joined parts."""
 
 
 class OutOfMemory(MemoryError):
@@ -183,10 +183,10 @@ class OutOfMemory(MemoryError):
 
 
 class ChunkEncoder:
-    """Compresses chunks and computes checksums. Not thread-safe; releases the interpreter lock."""
+    """Compresses chunks and computes checksums. Not thread-safe. Releases the interpreter lock."""
 
     def __init__(self, compression: Compression, level: int) -> None:
-        """Set up the compressor; `level` is zstd's level, ignored for other compressions."""
+        """Set up the compressor. `level` is that of zstd."""
         self._compression = compression
         parameters = ZstdCompressionParameters.from_level(level, **_CACHED if level == 1 else {})
         self._compressor = ZstdCompressor(compression_params=parameters)

@@ -11,10 +11,10 @@ from robotctl.recording.format.records import MAX_SEQUENCE, MAX_TIME_NS
 from robotctl.recording.format.topics import Topic, TopicStats
 
 MAX_PUBLISHERS = 1024
-"""Maximum number of remembered publishers per topic; beyond that the oldest is forgotten."""
+"""Maximum number of remembered publishers per topic. The oldest is forgotten first."""
 
 MAX_MISSING = 64
-"""Maximum number of missing messages remembered per publisher: they may still arrive."""
+"""Maximum number of missing messages per publisher that may still arrive."""
 
 
 @dataclass(slots=True)
@@ -22,15 +22,15 @@ class SequenceGaps:
     """The gaps in the sequence numbers of one topic.
 
     `expected` has the next number by publisher (gid). `Recorder.write` increases it, or calls
-    `note` for a message with another number. Number 0 means that the publisher does not count.
+    `note` for any other number. Number 0 means that the publisher does not count.
     """
 
     expected: dict[bytes, int] = field(default_factory=dict)
     lost: int = 0
-    """Messages missing between two that were received."""
+    """Messages missing between two received ones."""
 
     unseen: int = 0
-    """Messages that publishers sent before the first one received from them."""
+    """Messages before the first received one of each publisher."""
 
     _missing: dict[bytes, set[int]] = field(default_factory=dict)
 
@@ -65,7 +65,7 @@ class SequenceGaps:
 
 
 MAX_PACKERS = 128
-"""Maximum number of packers per channel, one per message size; each takes some 100 bytes."""
+"""Maximum number of packers per channel, one per message size. Each takes some 100 bytes."""
 
 MAX_LATCHED = 64
 """Maximum number of publishers per topic whose last latched message is kept."""
@@ -75,7 +75,7 @@ Packer = tuple[Callable[..., None], bytes, int]
 
 
 class LatchedMessage(NamedTuple):
-    """The last message of a publisher; times in nanoseconds since the epoch."""
+    """The last message of a publisher. Times are in ns since the epoch."""
 
     data: bytes
     log_ns: int
@@ -98,29 +98,29 @@ class ChannelState:
     """Changed by the loop: log time of the last message."""
 
     not_kept: int = 0
-    """Changed by the loop: latched messages not kept in memory; later files lack them."""
+    """Changed by the loop: latched messages missing in later files for lack of memory."""
 
     dropped_by_loop: int = 0
-    """Changed by the loop: dropped because there was no room, or because the recorder has ended."""
+    """Changed by the loop: dropped for lack of room, or after the end of the recorder."""
 
     throttled: int = 0
-    """Changed by the loop: messages that were throttled; they do not count as received."""
+    """Changed by the loop: throttled messages, which do not count as received."""
 
     gaps: SequenceGaps = field(default_factory=SequenceGaps)
     expected: dict[bytes, int] = field(init=False)
-    """`gaps.expected`, which the hot path reads faster here."""
+    """`gaps.expected`, for the hot path."""
 
     packers: dict[int, Packer] = field(default_factory=dict)
     """Packers by message size."""
 
     latched: dict[bytes, LatchedMessage] | None = field(init=False)
-    """The last message of each publisher, changed by the loop; None if the topic is not latched."""
+    """Changed by the loop: the last message by publisher, None for a topic that is not latched."""
 
     written: int = 0
-    """Changed by the writer thread: in the file, before a valid footer."""
+    """Changed by the writer thread: written with a valid footer."""
 
     not_repeated: int = 0
-    """Changed by the writer thread: latched messages that a later file had no room for."""
+    """Changed by the writer thread: latched messages without room in a later file."""
 
     dropped_by_writer: int = 0
     """Changed by the writer thread: taken from the queue, but not written."""
@@ -163,7 +163,7 @@ class ChannelState:
 
     @property
     def arrived(self) -> int:
-        """Messages that arrived: received or throttled."""
+        """Messages received or throttled."""
         return self.received + self.throttled
 
     @property

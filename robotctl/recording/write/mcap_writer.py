@@ -52,14 +52,14 @@ class Sealer(Protocol):
         """Return the seal of a new file."""
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Store `link` outside the recording; call this when the covered bytes are on the disk."""
+        """Store `link` outside the recording. The covered bytes must be on the disk."""
 
 
 class FileSeal:
-    """The seal of one file: a hash chain over header and data, signed from `open` on."""
+    """The seal of one file, a hash chain over header and data. It is signed from `open` on."""
 
     def __init__(self, sealer: Sealer, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin the chain at the beginning of the file; `clock` returns monotonic time [s]."""
+        """Begin the chain at the beginning of the file. `clock` returns monotonic time [s]."""
         self._sealer = sealer
         self._clock = clock
         self._hash = sha256()
@@ -96,7 +96,7 @@ class FileSeal:
         return self._seal is not None and self._clock() >= self._due
 
     def link(self, covered: int) -> bytes:
-        """Return the record of a signed link over the first `covered` bytes; b"" on failure."""
+        """Return a signed link over the first `covered` bytes as a record, b"" on failure."""
         link = self._signed(LinkKind.LINK, covered)
         if link is None:
             return b""
@@ -142,7 +142,7 @@ class FileSeal:
 
 
 LEAST_BYTES: Final = 64 << 10
-"""The least size of new room, which is also at least as large as the trailer."""
+"""The least size of new room."""
 
 PAGE_BYTES: Final = 4096
 
@@ -176,7 +176,7 @@ def write_in_pages(parts: Sequence[Buffer], offset: int, storage: Storage) -> No
 class McapFile:
     """The only writer of one MCAP file. Not thread-safe.
 
-    The `add_` methods collect records; the next `commit` writes them.
+    The `add_` methods collect records for the next `commit`.
     """
 
     def __init__(
@@ -188,7 +188,7 @@ class McapFile:
         seal: FileSeal | None = None,
         keeps_room: bool = False,
     ) -> None:
-        """Begin the file; nothing is written before the first `commit`.
+        """Begin the file. Nothing is written before the first `commit`.
 
         `keeps_room` makes many commits to a growing file cheap.
         """
@@ -221,13 +221,13 @@ class McapFile:
         return self
 
     def add_schema(self, schema: Schema) -> None:
-        """Add a schema; its id must be new and not 0."""
+        """Add a schema with a new id other than 0."""
         data = record_bytes(schema)
         self._pending += data
         self.summary.add(Opcode.SCHEMA, data)
 
     def add_channel(self, channel: Channel) -> None:
-        """Add a channel; its id must be new, and its schema must have been added."""
+        """Add a channel with a new id and an added schema."""
         data = record_bytes(channel)
         self._pending += data
         self.summary.add(Opcode.CHANNEL, data)
@@ -291,7 +291,7 @@ class McapFile:
         self._take_over(end, end + (trailer.size if trailer else 0), state.data_crc)
 
     def _commit_without_room(self, good: TrailerState) -> TrailerState:
-        """Write the added records with the trailer directly behind them; return its state."""
+        """Write the added records with the trailer directly behind them, and return its state."""
         parts, end, _ = self._parts(None)
         state = self.summary.state(end, self._crc_with(parts), self._sum_up(parts, end))
         trailer = self.summary.trailer(state)
@@ -310,7 +310,7 @@ class McapFile:
     # (2) the head of the first record, which shows all of them to sequential readers;
     # (3) the end of the trailer.
     def _commit_into_room(self, good: TrailerState, chunk: Chunk | None) -> None:
-        """Write the new records into the room, then the part of the trailer that changes."""
+        """Write the new records into the room, and update the trailer."""
         start = self._data_end
         parts, end, entry = self._parts(chunk)
         good = self._make_room(good, end - start)
@@ -367,7 +367,7 @@ class McapFile:
         chunk: Chunk | None = None,
         entry: ChunkIndex | None = None,
     ) -> bytes:
-        """Add the chunk to the summary and `parts` to the seal; return the seal's head record."""
+        """Add the chunk to the summary and `parts` to the seal, and return the seal's head."""
         if chunk is not None and entry is not None:
             self.summary.count(chunk)
             self.summary.add(Opcode.CHUNK_INDEX, record_bytes(entry))

@@ -1,4 +1,4 @@
-"""The recorder, which writes messages from the event loop into always-valid MCAP files."""
+"""The recorder of messages from the event loop in always-valid MCAP files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class RecorderState(StrEnum):
 
 @dataclass(slots=True, kw_only=True)
 class RecorderStats(MessageCounts):
-    """The recorder at one instant; the counts are the sums over `topics`.
+    """The recorder at one instant. The counts are the sums over `topics`.
 
     `bytes` is the size of all files of the recording. `no_memory` counts messages dropped because
     the process could not allocate memory. `failure` and `warning` are sentences, or "".
@@ -59,7 +59,7 @@ MAX_TOPICS: Final = 1 << 16
 """Maximum number of topics: a channel id of MCAP has 16 bits."""
 
 _PREFIX = struct.Struct("<BQH")
-"""The first bytes of all messages of one channel and size: opcode, record length, channel id."""
+"""Opcode, record length and channel id, the first bytes of a message."""
 
 
 class Recorder:
@@ -175,7 +175,7 @@ class Recorder:
         return self._channels[channel]
 
     def split(self) -> None:
-        """Begin a new file for later messages. Returns at once; has no effect after `close`."""
+        """Begin a new file for later messages. Returns at once. No effect after `close`."""
         if self._closed:
             return
         if self._buffer.end and self._has_memory(self._chunk_bytes):
@@ -217,7 +217,7 @@ class Recorder:
     def _write_carefully(
         self, channel: int, data: Buffer, log_ns: int, publish_ns: int, sequence: int
     ) -> None:
-        """Record what `write` could not: change buffers, clamp numbers, or count a drop."""
+        """Record a message that `write` could not pack, or count it as dropped."""
         state = self._channels[channel]
         if self._closed or self._thread.failure:
             state.dropped_by_loop += 1
@@ -246,7 +246,7 @@ class Recorder:
         buffer.end = start + length
 
     def _drop_for_memory(self, state: ChannelState, channel: int) -> None:
-        """Count a message dropped for lack of memory; remove its index entry if incomplete."""
+        """Count a message dropped for lack of memory, and remove its incomplete index entry."""
         index = self._buffer.indexes[channel]
         if len(index) % 2:
             index.pop()
@@ -254,7 +254,7 @@ class Recorder:
         self._no_memory += 1
 
     def _buffer_with_room(self, length: int) -> PackBuffer | None:
-        """Return an active buffer with room for `length` bytes; None if the budget is used up."""
+        """Return an active buffer with room for `length` bytes, None if the budget is used up."""
         buffer = self._buffer
         if buffer.end + length <= buffer.limit:
             return buffer
@@ -300,7 +300,7 @@ class MessageGate:
     """
 
     def __init__(self, recorder: Recorder, channel: int, most_hz: float = inf) -> None:
-        """Record at most `most_hz` messages per second; inf records all, 0 none."""
+        """Record at most `most_hz` messages per second, all for inf, none for 0."""
         self._recorder = recorder
         self._channel = channel
         self._interval_ns = round(NS_PER_S / most_hz) if most_hz else None

@@ -14,7 +14,7 @@ from robotctl.recording.format.names import Compression
 from robotctl.recording.write.mcap_writer import Sealer
 
 TYPE_PREFIX = "type:"
-"""Prefix of a pattern that is matched against the type instead of the name."""
+"""Prefix of a pattern for types instead of names."""
 
 
 def is_plain_name(pattern: str) -> bool:
@@ -63,7 +63,7 @@ class TopicPattern:
 
 
 class RateByTopic:
-    """Finds the rate of a topic [1/s] in texts such as `/camera/*=5`; the first match counts."""
+    """The rates of topics [1/s] from texts such as `/camera/*=5`. The first match counts."""
 
     def __init__(self, texts: Iterable[str]) -> None:
         parts = (text.rpartition("=") for text in texts)
@@ -76,7 +76,7 @@ class RateByTopic:
 
 
 def free_space(folder: Path) -> int:
-    """Return the number of bytes that this user may still write below `folder`.
+    """Return the free space for this user in `folder` [bytes].
 
     Raises:
         OSError: The folder cannot be examined.
@@ -98,7 +98,7 @@ class RecorderOptions:
     chunk_bytes: int = 1 << 20
     flush_s: float = 0.25
     sync_s: float = 1.0
-    """Period of the syncs [s]: data written before a sync survives a power cut."""
+    """Period of the syncs [s]. Synced data survives a power cut."""
 
     memory_bytes: int = 96 << 20
     """Memory for waiting and latched messages. Messages that do not fit are dropped and counted."""
@@ -107,7 +107,7 @@ class RecorderOptions:
     split_s: float = 600.0
     warn_free_bytes: int = 2_000_000_000
     stop_free_bytes: int = 500_000_000
-    """Free disk space below which the recorder stops; below `warn_free_bytes` it warns."""
+    """The recorder stops below this free disk space, and warns below `warn_free_bytes`."""
 
     group_readable: bool = False
     """Whether the group may read the recording, and not only its owner."""

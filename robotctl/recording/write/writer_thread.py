@@ -30,7 +30,7 @@ SLICE_NS: Final = 20_000_000
 """Time slice of the thread. Since Linux 6.12, waking threads preempt longer slices at once."""
 
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274}
-"""Number of the system call `sched_setattr`, which glibc wraps only since 2.41."""
+"""Number of the system call `sched_setattr`. glibc before 2.41 has no function for it."""
 
 
 _SCHED_ATTR: Final = struct.Struct("=IIQiIQQQ")
@@ -65,7 +65,7 @@ class EvidenceChunks:
     # A chunk is read as a whole: otherwise a check of the decisions would read every image.
 
     def __init__(self, topics: Collection[str], channels: Sequence[ChannelState]) -> None:
-        """`topics` are the full names of the evidence topics; `channels` may grow."""
+        """`topics` are the full names of the evidence topics. `channels` may grow."""
         self._topics = frozenset(topics)
         self._channels = channels
         self._known = 0
@@ -94,7 +94,7 @@ class EvidenceChunks:
         return _part(view, spans, packed, chosen), _part(view, gaps, packed, others)
 
     def _learn(self) -> None:
-        """Find the channels of evidence topics among the channels added since the last call."""
+        """Find the channels of evidence topics among the new channels."""
         known = len(self._channels)
         for channel in range(self._known, known):
             if self._channels[channel].topic.name in self._topics:
@@ -107,7 +107,7 @@ _Span = tuple[int, int]
 
 
 def _spans(view: memoryview, indexes: Iterable[array[int]]) -> list[_Span]:
-    """Return the spans of the records in `indexes`, in order; adjacent spans are joined."""
+    """Return the spans of the records in `indexes`, in order. Adjacent spans are joined."""
     length = slice(1, RECORD_HEAD_BYTES)
     spans: list[_Span] = []
     for start in sorted(offset for index in indexes for offset in index[1::2]):
@@ -121,7 +121,7 @@ def _spans(view: memoryview, indexes: Iterable[array[int]]) -> list[_Span]:
 
 
 def _between(spans: Sequence[_Span], size: int) -> list[_Span]:
-    """Return the spans from 0 to `size` that are not in `spans`."""
+    """Return the spans from 0 to `size` outside of `spans`."""
     edges = [0, *(edge for span in spans for edge in span), size]
     return [(start, end) for start, end in zip(edges[::2], edges[1::2], strict=True) if start < end]
 
@@ -148,7 +148,7 @@ def _part(
 
 
 SPARE_BUFFERS = 2
-"""Empty buffers kept for the loop: one to change to, one for a burst. Other buffers are freed."""
+"""Maximum number of empty buffers kept for the loop."""
 
 NICE = 5
 """Niceness added to the thread: on busy cores, the event loop gets three times its CPU time."""
@@ -157,7 +157,7 @@ _BREATH_S = 0.001
 """Pause before a retry [s]."""
 
 _SETTLE_S = 1.0
-"""How long the thread waits at its end for a message that is being packed, which takes 1 us."""
+"""How long the thread waits at its end for the packing of a last message."""
 
 
 class WriterCommand(Enum):
@@ -185,18 +185,18 @@ class WriterThread:
         active: Callable[[], PackBuffer],
         on_failure: Callable[[str], None],
     ) -> None:
-        """Start the thread; `active` returns the buffer that the loop is packing."""
+        """Start the thread. `active` returns the loop's present buffer."""
         self._queue: SimpleQueue[Queued] = SimpleQueue()
         self._wake = threading.Lock()
         """Released for a queued item. `SimpleQueue.get` may never time out before Python 3.13."""
 
         self.spare: deque[PackBuffer] = deque(maxlen=SPARE_BUFFERS)
         self.released = 0
-        """Total size of the queued buffers and messages that have been freed so far [bytes]."""
+        """Total size of the queued buffers and messages freed so far [bytes]."""
 
         self.failure = ""
         self.no_memory = 0
-        """Messages dropped because there was no memory to write them."""
+        """Messages dropped for lack of memory to write them."""
 
         self._writer = writer
         self._options = options
@@ -246,7 +246,7 @@ class WriterThread:
                 time.sleep(_BREATH_S)
 
     def _turn(self) -> None:
-        """Handle one queued item, and the periodic work that is due."""
+        """Handle one queued item, and the due periodic work."""
         if self._queue.empty():
             due = min(self._next_flush, self._next_sync)
             self._wake.acquire(timeout=max(due - time.monotonic(), 0.0))
