@@ -1,4 +1,4 @@
-"""Texts for the operator of one robot: problems, remedies, and the commands for them."""
+"""Texts for the operator of one robot, with problems, remedies and commands."""
 
 from __future__ import annotations
 

@@ -66,9 +66,9 @@ P = TypeVar("P")
 class Method(Generic[P]):
     """A method with its parameters, its handler and the handler's deadline.
 
-    The handler runs in the loop. A RobotctlError from it is sent to the client. It is cancelled at
-    its deadline or, without one, when its client disconnects: its state must be consistent at every
-    await.
+    The handler runs in the loop. Its RobotctlError is sent to the client. The handler is cancelled
+    at its deadline or, without one, when its client disconnects: its state must be consistent at
+    every await.
     """
 
     params: type[P]

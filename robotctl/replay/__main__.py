@@ -1,8 +1,8 @@
 """`python -m robotctl.replay --report-fd N`: play the job on stdin, and report progress on N.
 
 Each report is one line of JSON with the key "note", "waiting", "start", "progress" or "summary", or
-with "error", "exit_code" and details. More lines on stdin control the replay. It stops when stdin
-ends.
+with "error", "exit_code" and details. More lines on stdin control the replay, and the end of stdin
+stops it.
 """
 
 from __future__ import annotations

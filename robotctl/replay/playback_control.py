@@ -24,7 +24,7 @@ RATES: Final = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """Maps recorded time to steady time: `at_ns` (recorded) is due at `moment_ns` (steady).
+    """Maps recorded time to steady time, with `at_ns` (recorded) due at `moment_ns` (steady).
 
     From `moment_ns` on, `rate` recorded seconds are due each second, or all at once if `rate` is
     None. While `paused`, nothing is due.

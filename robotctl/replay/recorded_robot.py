@@ -1,4 +1,4 @@
-"""The state of the recorded robot during a replay: pose, velocity, mode and path."""
+"""The recorded robot's pose, velocity, mode and path during a replay."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def recorded(
     *,
     loop: bool,
 ) -> Iterator[Entry]:
-    """Return the messages to send: latched messages from before `span`, then all within `span`.
+    """Return the latched messages from before `span`, then all messages within `span`.
 
     `topics` has the type of each topic to play. `latched` has, for each latched topic, the largest
     number of messages from before the span.

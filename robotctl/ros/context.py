@@ -36,7 +36,7 @@ END_S: Final = 5.0
 
 
 def open_context(domain_id: int, remaps: Iterable[str] = ()) -> Context:
-    """Open a context in ROS domain `domain_id`, without signal handlers and command line.
+    """Open a context in ROS domain `domain_id`, without signal handlers or command line.
 
     `remaps` are rules FROM:=TO for the names of topics and services.
     """
@@ -51,8 +51,8 @@ def close_context(
 ) -> None:
     """Call the functions of `before`, then destroy the nodes and leave the domain.
 
-    Call this as the last step of a process: after END_S, it ends the process with exit code 1 and
-    prints the stacks of all threads on stderr.
+    Call this as the last step of a process. If the call takes over END_S, it prints the stacks of
+    all threads on stderr and ends the process with exit code 1.
     """
     with ExitStack() as leaving:
         faulthandler.dump_traceback_later(END_S, exit=True, file=2)
@@ -69,7 +69,7 @@ STDIN: Final = 0
 """Stdin's descriptor. It is readable when the command has closed stdin."""
 
 SETTLE_S: Final = 3.5
-"""Limit on the time of discovery: a process repeats a lost announcement after 3 s."""
+"""Limit on the time of discovery, as a process repeats a lost announcement after 3 s."""
 
 EXPECTED_S: Final = 20.0
 """Limit on the wait for a name that the daemon has discovered."""
@@ -106,8 +106,8 @@ class Membership:
     def discover(self, is_known: Callable[[], bool], *, expected: bool = False) -> bool:
         """Wait until `is_known()` is true. Return whether it became true in time.
 
-        The wait ends when discovery is complete, SETTLE_S after the domain was joined at the
-        latest. With `expected`, only EXPECTED_S limits the wait.
+        The wait ends when discovery is complete, at the latest SETTLE_S after the domain was
+        joined. With `expected`, only EXPECTED_S limits the wait.
 
         Raises:
             asyncio.CancelledError: Stdin was closed.

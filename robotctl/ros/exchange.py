@@ -50,7 +50,7 @@ async def _until_stdin_ends(work: Coroutine[Any, Any, None]) -> None:
 
 
 async def call(visitor: Membership, request: dict[str, Any], send: Send) -> None:
-    """Call a service; report the response as {"type", "definition", "data"}, "data" in base64.
+    """Call a service, and report the response as {"type", "definition", "data"}, "data" in base64.
 
     Raises:
         NoDaemon: The service does not appear in time, or does not answer.

@@ -39,7 +39,7 @@ MAX_OPEN_REQUESTS: Final = 10_000
 """Limit on the remembered requests, of which a second event may follow."""
 
 _CLOCK = struct.Struct("<4siI")
-"""rosgraph_msgs/Clock: encapsulation, seconds, nanoseconds."""
+"""rosgraph_msgs/Clock, as encapsulation, seconds and nanoseconds."""
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], bool]:
@@ -179,7 +179,7 @@ _DURABILITY |= {policy.short_key: policy for policy in _DURABILITY.values()}
 
 
 def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
-    """Return a profile that matches all subscribers that the recorded publishers matched.
+    """Return a QoS profile that matches every subscriber of the recorded publishers.
 
     `offered` is the topic's `offered_qos_profiles` in a recording. The result is reliable and
     volatile if `offered` cannot be read. A volatile topic's depth is at most `most`.
@@ -240,10 +240,10 @@ def _span_ns(value: object) -> int:
 
 
 SETTLE_S: Final = 3.5
-"""Limit on the time of discovery: a lost announcement is repeated after 3 s."""
+"""Limit on the time of discovery, as a lost announcement is repeated after 3 s."""
 
 QUIET_S: Final = 0.03
-"""How long the graph must not change: a starting process adds its endpoints one by one."""
+"""How long the graph must not change, as a starting process adds its endpoints one by one."""
 
 MATCH_S: Final = 2.0
 # They take 8 ms, or 0.2 s if a message gets lost. A process that was killed never acknowledges.

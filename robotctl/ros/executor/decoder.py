@@ -129,7 +129,7 @@ class _Source:
         ]
         self._end_run()
         kind, message = self._constant(message_type), self._variable()
-        # Without the constructor, whose defaults would take five times as long as the fields.
+        # Without the constructors: rclpy, which calls them, takes five times as long.
         self._line(f"{message} = new({kind})")
         self._line(f"{message}._check_fields = {bool(default._check_fields)}")
         for slot, value in values:
@@ -197,7 +197,7 @@ class _Source:
     # Offsets
 
     def _number(self, format_: str) -> str:
-        """Add a number to those that the next `struct` call reads; return its variable's name."""
+        """Add a number to the next `struct` call, and return the name of its variable."""
         size = struct.calcsize(format_)
         self._align(size)
         if not self._run_names:

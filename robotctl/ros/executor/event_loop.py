@@ -53,7 +53,7 @@ BEAT_NS = 20_000_000
 """The time between two beats, 50 a second, on which timers expire together."""
 
 _START_NS = time.monotonic_ns()
-"""The first beat; it differs between processes, so that not all of them wake up together."""
+"""The first beat, which differs between processes so that not all of them wake up together."""
 
 
 def beat_before(t_ns: int, period_ns: int = BEAT_NS) -> int:
@@ -116,7 +116,7 @@ class _CallingSelector(EpollSelector):
 
 
 def _mask(event: int) -> int:
-    """Convert an epoll event mask to a selector's; an error counts as readable and writable."""
+    """Convert an epoll event mask to a selector's. An error counts as readable and writable."""
     readable = EVENT_READ if event & ~EPOLLOUT else 0
     return readable | (EVENT_WRITE if event & ~EPOLLIN else 0)
 

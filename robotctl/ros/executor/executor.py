@@ -35,8 +35,8 @@ SERVICE_POLL_S = 0.02
 class AsyncioExecutor:
     """Runs the callbacks of rclpy nodes in an asyncio loop while `async with` is open.
 
-    Any thread may call the methods of `rclpy.executors.Executor`. The `spin` methods only raise
-    RuntimeError. An exception in a callback goes to `on_exception(error, where)`, by default to the
+    Any thread may call `add_node`, `remove_node`, `get_nodes`, `create_task`, `wake` and
+    `shutdown`. An exception in a callback goes to `on_exception(error, where)`, by default to the
     loop's exception handler.
     """
 
@@ -49,7 +49,7 @@ class AsyncioExecutor:
     ) -> None:
         """Serve nodes of `context` (default: rclpy's default context).
 
-        `fifo_priority` requests SCHED_FIFO for the loop's thread; `scheduling` is the result.
+        `fifo_priority` requests SCHED_FIFO for the loop's thread. `scheduling` is the result.
 
         Raises:
             ValueError: The priority is outside 1..99.
@@ -181,9 +181,10 @@ class AsyncioExecutor:
         return list(self._nodes)
 
     def create_task(self, callback: Any, *args: Any, **kwargs: Any) -> Future:
-        """Run a function, a coroutine function or a coroutine in the loop; return its future.
+        """Run a function, a coroutine function or a coroutine in the loop, and return its future.
 
-        The exception handler gets an exception too if the future has no done callback.
+        An exception goes into the future, and to the exception handler if the future has no done
+        callback.
 
         Raises:
             RuntimeError: The executor was shut down.

@@ -115,7 +115,7 @@ def callbacks_at_once(
 ) -> Iterator[None]:
     """Run the done callbacks at once if `future` gets its result within the `with` block.
 
-    After the block, `executor` runs new done callbacks; without one, rclpy calls them directly.
+    After the block, `executor` runs new done callbacks. If it is None, rclpy calls them directly.
     """
     # The executor itself would run them in the next iteration of the loop.
     future._set_executor(immediate)
@@ -161,7 +161,8 @@ class ExecutorTask(Future):
 class Tasks:
     """Runs functions and coroutines in the loop, and sets a future for each.
 
-    The exception handler gets an exception too if the future has no done callback.
+    An exception goes into the future, and to the exception handler if the future has no done
+    callback.
     """
 
     def __init__(self, executor: Any, loop_thread: LoopThread) -> None:
@@ -174,7 +175,7 @@ class Tasks:
         """Whether the executor is closed. Then tasks that have not begun are cancelled."""
 
     def create(self, callback: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> ExecutorTask:
-        """Run a function, a coroutine function or a coroutine in the loop; return its future.
+        """Run a function, a coroutine function or a coroutine in the loop, and return its future.
 
         Raises:
             RuntimeError: The loop is closed.

@@ -21,7 +21,7 @@ ViewSink = Callable[[SerializedData, int, int, int, bytes], object]
 """A `Sink` that accepts memoryviews of large messages, and copies all that it keeps."""
 
 UNKNOWN_GID = b""
-"""The gid of messages whose publisher is not known."""
+"""The gid of messages of an unknown publisher."""
 
 
 class RawTap:
@@ -188,7 +188,7 @@ class SerializedTaker:
         return view if self._views else bytes(view)
 
     def _end_large(self) -> None:
-        """Release `lent`; free its buffer if all kept buffers together would exceed KEPT_BYTES."""
+        """Release `lent`, and free its buffer if all kept buffers would exceed KEPT_BYTES."""
         assert self.lent is not None
         self.lent.release()
         self.lent = None

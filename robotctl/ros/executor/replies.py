@@ -27,13 +27,13 @@ WAIT_S: Final = 5.0
 """How long a response waits for its reader before it is dropped."""
 
 MAX_WAITING: Final = 100
-"""Limit on the waiting responses of one service; beyond it, the oldest is dropped."""
+"""Limit on the waiting responses of one service. Above it, the oldest is dropped."""
 
 POLL_S: Final = 0.02
 """The time between two looks for readers, which no callback announces."""
 
 PAUSE_S: Final = 1.0
-"""The least time between two failing attempts to reach a reader: each blocks the loop for 0.1 s."""
+"""The least time between two failing attempts to reach a reader. Each blocks the loop for 0.1 s."""
 
 MAX_KNOWN: Final = 1_000
 """Limit on the remembered readers, which need no look at the graph."""
@@ -71,10 +71,10 @@ class Replies:
         self._closed = False
 
     def send(self, header: Any, attempt: Callable[[], bool]) -> None:
-        """Call `attempt`, which sends the response, once the reader of its client is discovered.
+        """Call `attempt`, which sends a response, as soon as the client's reader is discovered.
 
-        `header` is the request's. `attempt` returns whether the middleware accepted the response,
-        and is repeated until then, for WAIT_S at most.
+        `header` belongs to the request. `attempt` returns whether the middleware accepted the
+        response, and is repeated after a failure, for WAIT_S at most.
         """
         gid = reader_of(header)
         if gid is None or self._closed:
@@ -171,7 +171,7 @@ def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
 def reader_of(header: Any) -> bytes | None:
     """Return the gid of the client's reader of responses, from the header of its request.
 
-    None if the gid is unknown: this process or the client does not use Fast DDS.
+    Return None if the gid is unknown, as without Fast DDS.
     """
     if isinstance(header, _rclpy.rmw_service_info_t):
         header = header.request_id
@@ -200,9 +200,10 @@ _REQUESTER: ContextVar[bytes | None] = ContextVar("requester", default=None)
 
 
 def requester() -> bytes | None:
-    """Return the gid (16 bytes) of the reader of the client whose request or goal is handled.
+    """Return the gid of the client whose request or goal the caller handles.
 
-    Return None outside a handler, or if the middleware does not report the gid.
+    The gid (16 bytes) is that of the client's reader of responses. It is None outside a handler, or
+    if the middleware does not report it.
     """
     return _REQUESTER.get()
 

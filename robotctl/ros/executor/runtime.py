@@ -212,7 +212,7 @@ ExceptionHandler = Callable[[Exception, str], None]
 
 
 class Runtime:
-    """The state that one executor shares with its `Source`s; used in the loop's thread only."""
+    """The state that one executor shares with its `Source`s. For the loop's thread only."""
 
     def __init__(
         self,

@@ -118,7 +118,7 @@ class EventFdSource(Source):
     """The last count that was read from the eventfd."""
 
     pool: Pool | None = None
-    """The `Pool` that watches the eventfd; None if the loop itself watches it."""
+    """The `Pool` that watches the eventfd, or None if the loop itself watches it."""
 
     _listening = False
 

@@ -112,8 +112,8 @@ class Ticker:
         async for tick in Ticker(50.0):
             step(tick.t_ns)
 
-    All tickers of one rate in a process tick together. Ticks that fall due while the task is busy
-    are skipped. `close`, `async with` or garbage collection releases the timer.
+    All tickers of one rate and lead in a process tick together. Ticks that fall due while the task
+    is busy are skipped. `close`, `async with` or garbage collection releases the timer.
     """
 
     def __init__(self, hz: float, *, lead_ns: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""Waiting until all processes in a ROS domain have discovered each other.
+"""Waiting for discovery between this process and all others in a ROS domain.
 
 Each process announces its nodes' endpoints on the DDS topic `ros_discovery_info`, here called its
 introduction.
@@ -235,9 +235,9 @@ class Discovery:
     def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:
         """Wait until all processes are discovered and nothing changed for `quiet_s` seconds.
 
-        The wait ends at `until_s` (`time.monotonic`) at the latest, or when `stopped` is set. It
-        always lasts until then if other machines may take part, because their processes cannot be
-        counted.
+        The wait ends at `until_s` (`time.monotonic`) at the latest, or when `stopped` is set.
+        Processes on other machines cannot be counted: if there may be any, the wait lasts until
+        `until_s`.
         """
         while time.monotonic() < until_s and not stopped.is_set():
             if self.is_complete(quiet_s):
@@ -271,7 +271,7 @@ class Discovery:
     def make_known(self, until_s: float, stopped: threading.Event) -> bool:
         """Wait until all discovered processes know all publishers of this process.
 
-        Return False if that took until `until_s` (`time.monotonic`), or if `stopped` is set.
+        Return False if the time `until_s` (`time.monotonic`) comes first, or `stopped` is set.
         """
         writer = IntroductionWriter(self._node)
         try:

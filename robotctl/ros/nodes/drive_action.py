@@ -120,13 +120,13 @@ class DriveAction:
         return GoalResponse.REJECT if full else GoalResponse.ACCEPT
 
     def _end_unanswered(self) -> None:
-        """Abort goals that rclpy accepted but will not execute: it could not send the answer."""
+        """Abort goals that rclpy has accepted, but does not execute because its answer failed."""
         for handle in list(self._server._goal_handles.values()):
             if handle.status == GoalStatus.STATUS_ACCEPTED:
                 handle.execute(self._refuse)
 
     def _accept(self, handle: Any) -> None:
-        """Request the drive at once: the goal's task starts only in a later turn of the loop."""
+        """Request the drive at once, as the goal's task starts only in a later turn of the loop."""
         asked = handle.request
         goal = Goal(asked.pattern, asked.size, asked.laps, asked.speed, asked.replace)
         try:

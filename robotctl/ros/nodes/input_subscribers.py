@@ -35,7 +35,7 @@ def report_values(
     """Subscribe on node `_recorder`, and call `on_value(value, publisher, sequence)` per message.
 
     `read` returns the value of a serialized message, and must not raise. `publisher` is the
-    publisher's gid in hex, and `sequence` its number of the message.
+    publisher's gid in hex, and `sequence` the message's sequence number.
     """
 
     def receive(data: bytes, received_ns: int, source_ns: int, sequence: int, gid: bytes) -> None:

@@ -41,10 +41,10 @@ class OdomSubscriber:
     ) -> None:
         """Call `on_odometry(odometry, source, sequence)` for each message.
 
-        `source` is the number of the publisher, counted from 1, and `sequence` the publisher's
-        number of the message. Before a publisher's first message, call `on_source(source, gid,
-        name, frame)` with its gid in hex, its node's name ("" if unknown) and its frame id. Repeat
-        that when `find_names` finds the node, or when the frame id changes.
+        `source` is the number of the publisher, counted from 1, and `sequence` the message's
+        sequence number. Before a publisher's first message, `on_source(source, gid, name, frame)`
+        gets its gid in hex, its node's name ("" if unknown) and its frame id. `on_source` is called
+        again when `find_names` finds the node, or when the frame id changes.
         """
         self._node = session.node("odom_subscriber")
         self._log = logging.getLogger(session.logger_name("odom_subscriber"))

@@ -208,7 +208,7 @@ class Tap:
         open_sink: Callable[[TopicDescription], ViewSink],
         wanted: Callable[[str, str], bool] = lambda topic, type_name: True,
     ) -> None:
-        """Call `open_sink`, which returns the sink for a topic's messages, for each new topic.
+        """Call `open_sink` for each new topic, to get the sink for its messages.
 
         Topics with a false `wanted(topic, type)` are not subscribed to.
         """
@@ -225,7 +225,7 @@ class Tap:
         """Topic that was left out -> its types. It is tried again when its types change."""
 
         self._failed: set[str] = set()
-        """Topics with a failed subscription, which is tried again: the cause may be temporary."""
+        """Topics with a failed subscription, which is tried again."""
 
         self._awaited: dict[str, str] = {}
         """Topic without a subscription yet -> its loading type."""
