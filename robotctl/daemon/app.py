@@ -83,7 +83,7 @@ LOOK_S: Final = 0.05
 async def refuse_same_names(host: Host) -> None:
     """Refuse to start if another daemon in the domain has a `mode_service` of the same full name.
 
-    Call this before the daemon has a publisher. Waits for the discovery of the domain's nodes.
+    Call this before the daemon has a publisher. It waits for the discovery of the domain's nodes.
 
     Raises:
         Refused: There is such a daemon, and `--allow-same-names` is not set.

@@ -159,7 +159,7 @@ class _StderrListener(QueueListener):
         return None
 
     def handle(self, record: Any) -> None:
-        """Write lines to stderr, as long as it blocks."""
+        """Write lines to stderr, and wait while stderr blocks."""
         rest = memoryview(record)
         while rest:
             try:

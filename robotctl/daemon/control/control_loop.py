@@ -62,13 +62,13 @@ def pressure() -> str:
 
 
 STALL_S = 0.1
-"""Least time without a tick after which the loop has stalled."""
+"""A stall lasts at least this time without a tick."""
 
 CONFIRM_S = 0.02
 """How long the watchdog waits for a late tick of a paused process before it sends zeros."""
 
 STALL_TICKS = 2.5
-"""The least number of tick periods without a tick after which the loop has stalled."""
+"""A stall lasts at least this number of tick periods without a tick."""
 
 ZERO_PERIOD_S = 0.05
 """Period of the zeros while the loop is stalled."""
@@ -77,7 +77,7 @@ SHOWN_FRAMES = 3
 """How many calls the report of a stall names, from the innermost outwards."""
 
 BUSY_SHARE = 0.5
-"""Share of the time above which a thread's wait for a CPU shows a busy machine."""
+"""Share of the time in wait for a CPU above which the machine counts as busy."""
 
 ACCOUNT_PERIOD_NS = 100_000_000
 """Period of reading the CPU wait, which at each tick took 3 % of the loop's time."""
@@ -149,7 +149,7 @@ class Watchdog:
     def take(self) -> LoopStalled | FaultReported | None:
         """Return LoopStalled after a stall, FaultReported if the thread failed, otherwise None.
 
-        Opens `gate` after a stall. Call it in the loop's thread, and dispatch the event next.
+        A stall's end opens `gate`. Call this in the loop's thread, and dispatch the event next.
         """
         if self._holding:
             return self._end_stall()

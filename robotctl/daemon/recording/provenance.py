@@ -140,7 +140,7 @@ SHORT_CHARACTERS: Final = 16
 def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
     """Return the short hash of each module of CONTROL_PATH, and under DIGEST one digest of all.
 
-    The digest is the SHA-256 of sha256sum(1)'s lines. Files are read at the first call only.
+    The digest is the SHA-256 of the lines of sha256sum(1) by name. Files are read only once.
     """
     hashes = dict(_hashes(package))
     lines = "".join(f"{value}  {name}\n" for name, value in sorted(hashes.items()))

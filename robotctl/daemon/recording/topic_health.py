@@ -330,7 +330,7 @@ class TopicHealth:
         return topic
 
     def look(self, now_s: float, wall_ns: int) -> bool:
-        """Judge each topic; return whether there are news about troubles or restarts."""
+        """Judge each topic; return whether a trouble has changed or a publisher was restarted."""
         elapsed_s, self._looked_s = now_s - self._looked_s, now_s
         late, news = elapsed_s > LATE_S, False
         for topic in list(self._active.values()):
