@@ -238,7 +238,7 @@ KINDS: tuple[type[Any], ...] = (RecordingRow, DriveRow, EventRow, TopicRow, Samp
 _SQL_TYPES = {"str": "VARCHAR", "int": "BIGINT", "float": "DOUBLE", "bool": "BOOLEAN"}
 
 _SINGLE_PRECISION = ("x_m", "y_m", "theta_rad", "linear_mps", "angular_rps", "error_m")
-"""Columns stored as FLOAT, as samples fill most of a file."""
+"""Columns stored as FLOAT to keep files small."""
 
 
 def columns(kind: type[Any]) -> dict[str, str]:
