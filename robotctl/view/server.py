@@ -40,7 +40,7 @@ DEFAULT_PORT: Final = 8765
 
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens on `port`, on DEFAULT_PORT or else any free port if None.
+    """Return a socket that listens on `port`; None means DEFAULT_PORT or else a free port.
 
     Raises:
         Refused: The host has no address, or the socket cannot listen on it.
@@ -209,7 +209,7 @@ class ViewServer:
         self._unflushed.update(subscribers)
 
     def note(self, id: str, message: str) -> None:  # noqa: A002 - the field's name
-        """Show `message` to all present and later viewers, or remove the note `id` if it is ""."""
+        """Show `message` to all present and later viewers; a `message` of "" removes the note."""
         if message and self._notes.get(id) != message:
             self._notes[id] = message
             self._tell_all(warning(message, id))
@@ -219,7 +219,7 @@ class ViewServer:
     # From the connections
 
     def connected(self, viewer: Viewer) -> None:
-        """Register a connection before its handshake, or end it above MAX_CONNECTIONS."""
+        """Register a connection before its handshake; end any connection above MAX_CONNECTIONS."""
         self._connections.add(viewer)
         if len(self._connections) > MAX_CONNECTIONS:
             viewer.abort()

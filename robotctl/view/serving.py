@@ -162,7 +162,7 @@ class LiveView:
         self._server.withdraw(channel_id)
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Show viewers the note `problem` on a topic, or remove the note if it is ""."""
+        """Show viewers the note `problem` on a topic that is not offered; "" removes the note."""
         self._server.note(topic, problem)
 
     # From the server
