@@ -30,7 +30,7 @@ Content = str | float | None
 
 
 def tag(name: str, /, *content: Content, **attributes: Content) -> Markup:
-    """Return an element of HTML or SVG, with escaped content.
+    """Return an element of HTML or SVG, with text escaped.
 
     Write `data_t` for the attribute `data-t`, and `class_` for `class`. None omits an attribute.
     """

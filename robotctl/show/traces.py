@@ -83,7 +83,7 @@ class TracedMoment:
 
 @dataclass(frozen=True, slots=True)
 class EndedDrive:
-    """A drive that ended, with the report of its errors."""
+    """A drive that ended, with its report."""
 
     t_s: float
     reason: str
