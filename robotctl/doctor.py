@@ -210,10 +210,7 @@ WHEELS_FOR = "x86_64"
 def check_wheels(
     requirements: Iterable[str] | None = None, version_of: Callable[[str], str] = metadata.version
 ) -> Iterator[Finding]:
-    """Compare the installed ROS wheels with the exact versions that robotctl requires.
-
-    By default, `requirements` are those of the installed robotctl.
-    """
+    """Compare the installed ROS wheels with `requirements`, by default those of robotctl."""
     check = "wheels"
     if requirements is None:
         if platform.machine() != WHEELS_FOR:

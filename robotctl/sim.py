@@ -106,11 +106,7 @@ class SimParams:
 
 
 class Robot:
-    """The simulated robot; it begins at the origin.
-
-    `truth` is its true pose, `odometry` its reported pose, `measured` its reported velocity.
-    `battery` is from 0 to 1.
-    """
+    """The simulated robot with its true pose `truth` and its reported pose `odometry`."""
 
     def __init__(self, params: SimParams) -> None:
         self._params = params

@@ -40,7 +40,7 @@ def results_of(
 ) -> Iterator[tuple[Path, Result | None]]:
     """Call `function` for each recording; yield recording and result in the order of completion.
 
-    Jobs that are lost with a process run again, each alone. The result is None if that fails, too.
+    Jobs that are lost with a process run again, each alone; the result of a second loss is None.
     """
     done = 0
     lost: list[Path] = []

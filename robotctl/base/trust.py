@@ -29,10 +29,7 @@ OVERFLOW_UID: Final = 65534
 # Another user may create a folder of a well-known name first, especially in /tmp, with a socket
 # that answers `estop` with success.
 class FolderChain:
-    """The folders from `base` down to `folder`; the environment variable `variable` sets `base`.
-
-    The folders above `base` are not checked.
-    """
+    """The folders from `base`, set by the environment variable `variable`, down to `folder`."""
 
     def __init__(
         self,

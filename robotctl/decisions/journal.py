@@ -100,10 +100,7 @@ ABOUT_SEALS: Final = (DecisionKind.OPENED, DecisionKind.CLOSED, DecisionKind.ROT
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """An entry; `time_ns` is since the epoch, and `values` can be encoded as JSON.
-
-    `kind` is a `DecisionKind`, or a kind of a later version.
-    """
+    """An entry; `time_ns` is since the epoch, and `kind` may be one of a later version."""
 
     time_ns: int
     kind: str

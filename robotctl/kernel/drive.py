@@ -55,7 +55,7 @@ class Progress:
 def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns: bool) -> Progress:
     """Return the first progress of a drive that begins at `speed` [m/s].
 
-    It begins at 0 if the first leg is a turn (`turns`) or too short for the lead.
+    The speed is 0 instead if the first leg is a turn (`turns`) or too short for the lead.
     """
     ahead = 0.5 * speed * dt_s * (ticks - 1)
     if turns or speed <= 0.0 or legs[0].length <= ahead:
@@ -190,10 +190,7 @@ class Drive:
         return f"drive finished: {self.laps} lap{'' if self.laps == 1 else 's'}"
 
     def reference(self, lag_s: float = 0.0) -> Reference:
-        """Return the reference's pose now, in the odom frame, and its motion in `lag_s`.
-
-        The reference of a held velocity stands at `origin`.
-        """
+        """Return the reference's pose now, in the odom frame, and its motion `lag_s` later."""
         at, segments = self.progress, self.path.segments
         if not segments:
             return Reference(self.origin, 0.0, 0.0, 0.0)

@@ -83,10 +83,7 @@ VALID_MODES = ", ".join(f"{mode.value} {mode.name}" for mode in Mode)
 
 
 class Kernel:
-    """Decides deterministically on one event at a time, and replaces `state` as a whole.
-
-    Each request gets exactly one reply.
-    """
+    """Decides deterministically on one event at a time, with one reply to each request."""
 
     def __init__(self, params: KernelParams, state: State | None = None) -> None:
         """Begin in `state`, with its command clamped to the velocity limits of `params`."""

@@ -76,8 +76,8 @@ class WhenIdle(Enum):
 class Foreign(Enum):
     """The effect of other nodes that publish velocity commands.
 
-    ERROR: any publisher, even a silent one, forbids motion. WARN: it only causes a warning. YIELD:
-    its commands forbid motion, a silent publisher does not.
+    ERROR: any publisher, even a silent one, forbids motion. WARN: publishers only cause a warning.
+    YIELD: their commands forbid motion, a silent publisher does not.
     """
 
     ERROR = "error"

@@ -204,10 +204,7 @@ def _open(segment: Segment, reach_m: float) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The properties of a kind of pattern; `lap` returns the path of one lap.
-
-    `has_corner` and `has_angle` are for `corner_m` and `angle_rad` of a `Course`.
-    """
+    """The properties of a kind of pattern; `lap` returns the path of one lap."""
 
     size_name: SizeName | None
     default_size_m: float

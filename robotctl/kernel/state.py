@@ -17,10 +17,7 @@ from robotctl.kernel.types import ZERO, Cause, Lease, LifecycleState, Odometry, 
 
 @dataclass(frozen=True, slots=True)
 class SecondOdometry:
-    """The last sample of a publisher that the robot does not follow.
-
-    `distance_m` and `angle_rad` are its differences from the followed pose.
-    """
+    """The last sample of an unfollowed publisher, with its differences from the followed pose."""
 
     source: int
     t_ns: int

@@ -1,7 +1,4 @@
-"""The limits of a command, and closed-loop path tracking for a differential drive.
-
-The law is Samson's (1993), as written by Klancar and Skrjanc (2005), eq. 11.
-"""
+"""The limits of a command, and path tracking (Samson 1993; Klancar and Skrjanc 2005, eq. 11)."""
 
 from __future__ import annotations
 

@@ -63,16 +63,13 @@ def tan(angle_rad: float) -> float:
 
 
 def _reduced(angle_rad: float) -> tuple[int, float, float]:
-    """Return the number of quarter turns in an angle, and the rest as a sum of head and tail [rad].
-
-    From an angle beyond 2^19 rad, whole turns are removed first and not counted.
-    """
+    """Return the number of quarter turns in an angle, and the rest as head plus tail [rad]."""
     if not -_MANY_TURNS_RAD <= angle_rad <= _MANY_TURNS_RAD:
         if angle_rad != angle_rad:
             return 0, angle_rad, 0.0
         if abs(angle_rad) == inf:
             raise ValueError("an infinite angle has no direction")
-        angle_rad %= tau
+        angle_rad %= tau  # these whole turns are not counted
     quarters = round(angle_rad * _TWO_OVER_PI)
     rest, tail = angle_rad - quarters * _HALF_PI_HIGH, quarters * _HALF_PI_LOW
     head = rest - tail

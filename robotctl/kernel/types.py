@@ -1,7 +1,4 @@
-"""The measurements, events and effects of the kernel.
-
-The `t_ns` of every event is steady time [ns].
-"""
+"""The measurements, events and effects of the kernel; `t_ns` is steady time [ns]."""
 
 from __future__ import annotations
 
@@ -205,10 +202,7 @@ class OdometrySourceFound:
 
 @dataclass(frozen=True, slots=True)
 class BatteryReceived:
-    """The battery level as the gauge reports it.
-
-    `publisher` is the DDS identity of the gauge, `sequence` its number for the message.
-    """
+    """The battery level in message `sequence` of the gauge `publisher` (a DDS identity)."""
 
     t_ns: int
     level: float
@@ -218,10 +212,7 @@ class BatteryReceived:
 
 @dataclass(frozen=True, slots=True)
 class SafetyInputReceived:
-    """A message of a safety input; not every repeated value becomes an event.
-
-    `detail` is the sender's text or "". `publisher` and `sequence`: see `BatteryReceived`.
-    """
+    """A message of a safety input; not every repeated value becomes an event."""
 
     t_ns: int
     kind: SafetyInput
@@ -235,8 +226,7 @@ class SafetyInputReceived:
 class ScanReceived:
     """The nearest range of a laser scan in each sector [m], counter-clockwise from straight behind.
 
-    It is inf in an empty sector; `sectors` is () if unreadable. For the rest, see
-    `BatteryReceived`.
+    The range of an empty sector is inf; `sectors` is () if the message is unreadable.
     """
 
     t_ns: int
@@ -293,10 +283,7 @@ class DriveRequested:
 
 @dataclass(frozen=True, slots=True)
 class HoldReceived:
-    """A hold-to-run client repeats its request, with a velocity that may be NaN.
-
-    `hold` is the id of the drive's `DriveRequested`; `client` is as in `ModeRequested`.
-    """
+    """A repeated hold-to-run request for the drive `hold`; its velocity may be NaN."""
 
     t_ns: int
     hold: int
@@ -322,10 +309,7 @@ class ForeignCommandHeard:
 
 @dataclass(frozen=True, slots=True)
 class CommandListenersSeen:
-    """The number of subscriptions to the command topic with the sent type, `type_name`.
-
-    `other_types` are the types of all other subscriptions.
-    """
+    """The number of subscriptions with the sent type, and the types of all other subscriptions."""
 
     t_ns: int
     count: int
@@ -335,10 +319,7 @@ class CommandListenersSeen:
 
 @dataclass(frozen=True, slots=True)
 class GuardedCommandReceived:
-    """A steering node's velocity, which is unchecked and may be NaN.
-
-    `publisher` and `sequence`: see `BatteryReceived`.
-    """
+    """A steering node's velocity, which is unchecked and may be NaN."""
 
     t_ns: int
     twist: Twist
@@ -514,10 +495,7 @@ class DriveReport:
 
 @dataclass(frozen=True, slots=True)
 class DriveEnded:
-    """The drive of the request `request_id` has ended; `completed` is true after its last lap.
-
-    `cause` is None if a request or the last lap ended the drive.
-    """
+    """The drive of `request_id` has ended; `cause` is None after its last lap or a request."""
 
     request_id: int
     completed: bool

@@ -1,7 +1,6 @@
 """The definition of a ROS type as ros2msg text and as description.
 
-A description has the form of type_description_interfaces/msg/TypeDescription as plain values. A
-text or description beyond the limits is refused with UnreadableType.
+A description has the form of type_description_interfaces/msg/TypeDescription as plain values.
 """
 
 from __future__ import annotations
@@ -120,10 +119,7 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """The fields of a type and of all types that it needs.
-
-    `types` has `root` first, then the others depth first, each by `pkg/T`.
-    """
+    """The fields of a type and of all types that it needs, with `root` first in `types`."""
 
     root: str
     types: Mapping[str, tuple[Field, ...]]

@@ -313,8 +313,7 @@ def _button(number: int, data: bytes) -> tuple[float, str]:
 def _tilt(data: bytes) -> tuple[float, str]:
     """Return the angle between the upward axes of robot and world (REP-103), rounded to 0.01 rad.
 
-    It is NaN if the quaternion is not of length 1, or the covariance begins with -1
-    (sensor_msgs/Imu).
+    Return NaN if the quaternion is not of length 1, or the covariance begins with -1.
     """
     message = CdrReader(data)
     message.skip_header()

@@ -95,10 +95,7 @@ class HearingKernel(Kernel):
         self._counts = Counter[str]()
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Decide on `event`; serialize and number the message of an input first.
-
-        Odometry, battery and scans are read back from the message.
-        """
+        """Decide on `event`; serialize and number the message of an input first."""
         if isinstance(event, OdomReceived):
             sample = event.odometry
             data = self._odometry_encoder.encode(sample.pose, sample.velocity, sample.stamp_ns)

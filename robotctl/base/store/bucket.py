@@ -1,7 +1,4 @@
-"""Object stores and web servers, through the library obstore (the extra `store`).
-
-The library's error texts may contain signatures and headers; ours do not.
-"""
+"""Object stores and web servers, through the library obstore (the extra `store`)."""
 
 from __future__ import annotations
 
@@ -359,6 +356,7 @@ def requests() -> RequestLoop:
     return loop
 
 
+# The library's error texts may contain signatures and headers: ours must not.
 def error_of(error: Exception, scheme: str, where: str) -> StoreError:
     """Return the StoreError for an `error` of the library; `where` names the object or store."""
     text = str(error)
