@@ -64,8 +64,7 @@ def read_arrays(
 ) -> TopicArrays:
     """Return the arrays of `fields` of `topic`, or of all fields if none is given.
 
-    `on_missing` gets a sentence about each part that cannot be read. `type_name` is needed only if
-    the topic has several types.
+    `on_missing` gets a sentence per unreadable part. `type_name` selects one of a topic's types.
 
     Raises:
         UsageError: The recording lacks the topic or a field, or the topic has several types.

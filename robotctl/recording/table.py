@@ -87,8 +87,7 @@ class TopicTable:
     def rows(self, on_missing: Callable[[str], None], window: Window = ALWAYS) -> Iterator[Row]:
         """Yield the rows with a log time in `window` [ns], in the order of log time.
 
-        `on_missing` gets a sentence about each part that cannot be read, and about messages that do
-        not fit their type.
+        `on_missing` gets a sentence about each part that cannot be read or decoded.
         """
         row_of, start_ns, type_name = self._decoder.row, self._start_ns, self.topic.type_name
         misfits, reason = 0, ""

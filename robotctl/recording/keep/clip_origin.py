@@ -40,10 +40,7 @@ _AFTERWARDS: Final = (CONVERSION_RECORD, RECOVERY_RECORD)
 
 @dataclass(slots=True)
 class Origin:
-    """The comparison of a clip with its source. `wrong` has a sentence per difference.
-
-    `not_proved` has the claims that the source cannot confirm, `messages` counts equal messages.
-    """
+    """The result of `compare_with_source`. `messages` counts the equal messages."""
 
     clip: Path
     source: Path

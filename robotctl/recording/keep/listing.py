@@ -61,9 +61,7 @@ class CatalogFolder:
 
 
 def own_recordings(recordings: Path) -> Iterator[CatalogFolder]:
-    """Yield robotctl's recordings directly below `recordings`, ordered by name.
-
-    Symbolic links and unreadable folders are skipped.
+    """Yield robotctl's readable recordings directly below `recordings` by name, without links.
 
     Raises:
         OSError: `recordings` cannot be listed.
@@ -190,9 +188,7 @@ class ListedRecording:
 def list_recordings(
     folder: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> Iterator[ListedRecording]:
-    """Yield the recordings directly below `folder`, ordered by name, without links.
-
-    `on_progress` gets the recordings done and in total.
+    """Yield the recordings directly below `folder` by name, without links.
 
     Raises:
         OSError: `folder` cannot be listed.

@@ -159,9 +159,7 @@ def _repair_file(path: Path) -> TidyNote | None:
 def _close(
     path: Path, written: WrittenFile, messages: Sequence[PlainMessage], old_end: bytes
 ) -> None:
-    """Write `messages` and a trailer behind the data, and mark the file as checked.
-
-    After an error, the bytes `old_end` are restored behind the data.
+    """Write `messages` and a trailer behind the data, or restore `old_end` after an error.
 
     Raises:
         OSError: The disk is full or fails.

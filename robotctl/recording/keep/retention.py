@@ -94,10 +94,7 @@ def withdraw_note(recordings: Path, path: Path) -> None:
 
 
 def noted_removals(recordings: Path) -> Iterator[TidyNote]:
-    """Yield the noted removals of files that are gone, then delete their notes.
-
-    Call this under `only_one_in`.
-    """
+    """Yield and forget the noted removals of files that are gone. Call this under `only_one_in`."""
     path = recordings / NOTES_FILE
     notes = dict(_notes(path))
     if not notes:

@@ -41,9 +41,7 @@ _MAX_NAME_BYTES: Final = 32
 
 
 def unpack(compression: str, stored: bytes, size: int, *, torn: bool = False) -> bytes:
-    """Return the decompressed data of a chunk, which should have `size` bytes.
-
-    Of a `torn` chunk, the readable part is returned.
+    """Return the decompressed data of a chunk of `size` bytes, or the readable part if `torn`.
 
     Raises:
         Damaged: The data is corrupt, or the compression is not supported.

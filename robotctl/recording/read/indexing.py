@@ -90,9 +90,7 @@ def _before_own_footer(data: bytes) -> bytes:
 
 
 def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
-    """Return the index that the file's summary gives.
-
-    Without `places`, messages cannot be read.
+    """Return the index from the file's summary. Without `places`, messages cannot be read.
 
     Raises:
         Damaged: The summary is missing or not valid.

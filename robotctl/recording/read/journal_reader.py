@@ -65,10 +65,7 @@ def _beyond(limit: str) -> UnreadableFile:
 
 
 def journal_topic(info: RecordingInfo) -> str | None:
-    """Return the journal topic of the recording robot, or else the only journal topic.
-
-    None without a journal, or with several journals of other robots.
-    """
+    """Return the journal topic of the recording robot, or else the only one, or else None."""
     own, found = own_journal_topic(info), journal_topics(info)
     return own if own in found else found.pop() if len(found) == 1 else None
 
@@ -112,10 +109,7 @@ def read_journal(
 def since_snapshot(
     recording: Recording, moment_ns: int, on_missing: Callable[[str], None]
 ) -> list[Message]:
-    """Return the journal's messages before `moment_ns` from the last snapshot on, [] without one.
-
-    `on_missing` gets a sentence about each part that cannot be read.
-    """
+    """Return the journal before `moment_ns` from its last snapshot on, [] without a snapshot."""
     info = recording.info()
     topic = journal_topic(info)
     if topic is None or moment_ns <= info.start_ns:

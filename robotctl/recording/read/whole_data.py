@@ -184,8 +184,6 @@ def read_data_section(
 ) -> WholeData:
     """Read the data section up to its DataEnd record or `stop`, and add faults to `flaws`.
 
-    `on_progress` gets the offset of each record.
-
     Raises:
         Damaged: The file does not begin as an MCAP file, or the disk fails.
     """

@@ -63,10 +63,7 @@ class SealState(StrEnum):
 
 @dataclass(slots=True)
 class SealOfRead:
-    """The result of checking the seal of a file.
-
-    `links` are the valid links in order. `wrong` has sentences about a broken chain or signature.
-    """
+    """The result of `check_seal`. `links` has the valid links in order."""
 
     opening: Opening | None = None
     links: list[Link] = field(default_factory=list)
@@ -265,10 +262,7 @@ _LOOK_AGAIN_S = 0.002
 
 @dataclass(slots=True)
 class WholeFile:
-    """The result of reading every byte of a file and checking its seal.
-
-    `loose` counts the bytes of an unfinished commit, which are no part of the recording.
-    """
+    """The result of `read_whole_file`. `loose` counts the bytes of an unfinished commit."""
 
     path: Path
     size: int
@@ -294,8 +288,6 @@ def read_whole_file(
     path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> WholeFile:
     """Read every byte of an MCAP file, and check its seal.
-
-    `on_progress` gets the bytes done and the bytes in total.
 
     Raises:
         UnreadableFile: The file is not an MCAP file, or the disk cannot read it.

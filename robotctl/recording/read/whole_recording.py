@@ -43,11 +43,7 @@ MAX_MISSING: Final = 20
 
 @dataclass(slots=True)
 class Chain:
-    """The findings of `check_chain` about the seals of each robot's files.
-
-    `wrong` has a sentence for each pair of files that do not continue one another, `absent` a
-    sentence for each gap between files.
-    """
+    """The result of `check_chain`. `wrong` and `absent` have sentences about pairs of files."""
 
     wrong: list[str] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
@@ -169,11 +165,7 @@ class RecordingProof(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class VerifiedRecording:
-    """The result of `verify_recording`.
-
-    `unreadable` has a sentence for each part that is missing or not read, `flaws` one for each
-    wrong byte or count.
-    """
+    """The result of `verify_recording`. `unreadable` and `flaws` have sentences."""
 
     path: Path
     files: tuple[WholeFile, ...]
@@ -207,8 +199,6 @@ def verify_recording(
     path: Path, on_progress: Callable[[int, int], None] = lambda done, total: None
 ) -> VerifiedRecording:
     """Read every byte of a recording, a file or a folder, and check its seals.
-
-    `on_progress` gets the number of bytes read so far, and the total.
 
     Raises:
         UnreadableFile: `path` holds no MCAP file.

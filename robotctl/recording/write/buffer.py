@@ -24,10 +24,7 @@ from robotctl.recording.format.records import (
 
 @dataclass(frozen=True, slots=True)
 class PackedMessages:
-    """Messages taken from a buffer, as the records of an uncompressed chunk.
-
-    `parts`, concatenated, are the records. `indexes` and times are those of `Chunk`.
-    """
+    """Messages as the records of an uncompressed chunk, with the fields of `Chunk`."""
 
     parts: Sequence[Buffer]
     indexes: dict[int, array[int]]

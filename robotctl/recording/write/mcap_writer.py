@@ -1,7 +1,4 @@
-"""A writer whose MCAP file is complete and valid after every write.
-
-A reader may open the file at any moment, also after the process was killed.
-"""
+"""A writer whose MCAP file is valid after every write, also after a kill."""
 
 from __future__ import annotations
 
@@ -43,10 +40,7 @@ LINK_PERIOD_S: Final = 10.0
 
 
 class Sealer(Protocol):
-    """The part of `seal.Keyring` for the writer thread.
-
-    After an error the rest of the file has no seal.
-    """
+    """The part of `seal.Keyring` for the writer thread. An error ends the seal of a file."""
 
     def open_file(self, file: str) -> SealOfFile:
         """Return the seal of a new file."""
@@ -174,10 +168,7 @@ def write_in_pages(parts: Sequence[Buffer], offset: int, storage: Storage) -> No
 
 
 class McapFile:
-    """The only writer of one MCAP file. Not thread-safe.
-
-    The `add_` methods collect records for the next `commit`.
-    """
+    """Writer of one MCAP file. The `add_` methods collect records for `commit`. Not thread-safe."""
 
     def __init__(
         self,
@@ -188,10 +179,7 @@ class McapFile:
         seal: FileSeal | None = None,
         keeps_room: bool = False,
     ) -> None:
-        """Begin the file. Nothing is written before the first `commit`.
-
-        `keeps_room` makes many commits to a growing file cheap.
-        """
+        """Begin the file without a write. `keeps_room` makes many small commits cheap."""
         self.summary = Summary()
         self.size = 0
         """Bytes of the file, trailer included, without the room between data and trailer."""
@@ -401,9 +389,7 @@ class McapFile:
         return crc
 
     def cut_back(self) -> None:
-        """Restore the file's state after the last good commit. Call it after a failed commit.
-
-        Nothing may be added or committed afterwards.
+        """Restore the file as of the last good commit. Nothing may be added afterwards.
 
         Raises:
             OSError: The file cannot be written.

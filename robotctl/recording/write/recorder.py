@@ -294,10 +294,7 @@ def _new_packer(state: ChannelState, channel: int, size: int) -> Packer:
 
 
 class MessageGate:
-    """A message callback that records a message or counts it as throttled.
-
-    The first message of each interval of 1 / `most_hz` is recorded.
-    """
+    """A callback that records one message per 1 / `most_hz`, and counts others as throttled."""
 
     def __init__(self, recorder: Recorder, channel: int, most_hz: float = inf) -> None:
         """Record at most `most_hz` messages per second, all for inf, none for 0."""

@@ -172,10 +172,7 @@ Queued = PackBuffer | LargeMessage | RecordedEvent | WriterCommand
 
 
 class WriterThread:
-    """The thread that writes the files.
-
-    The first error ends the file and is described in `failure`. Later messages are dropped.
-    """
+    """The thread that writes the files until a first error, described in `failure`."""
 
     def __init__(
         self,
