@@ -81,7 +81,7 @@ FULL_BYTES: Final = 500_000_000
 """With less free space, the recorder does not start (its option `stop_free_bytes`)."""
 
 BUILT_S: Final = 1_735_689_600.0
-"""2025-01-01 [s since the epoch], which no set clock is before."""
+"""2025-01-01 [s since the epoch]; a clock before this was never set."""
 
 AHEAD_S: Final = 60.0
 """If a file is newer than the clock by more than this, the clock was set back."""

@@ -33,8 +33,8 @@ _MARKS = {
 def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
     """Prepare the environment for the import of rclpy, and return a note after a restart, else "".
 
-    To remove another ROS or middleware, it calls `before_restart` and restarts the process. It
-    limits discovery to this machine, unless the user has chosen otherwise.
+    To remove another ROS or middleware, the process restarts, after a call of `before_restart`.
+    Discovery is limited to this machine, unless the user has chosen otherwise.
     """
     note = os.environ.pop(_NOTE, "")
     if _has_own_rclpy():

@@ -129,7 +129,7 @@ def socket_path(robot: str) -> Path:
 
 
 def lock_path(robot: str) -> Path:
-    """Return the path of the file with the pid of the robot's daemon, which locks it by flock."""
+    """Return the path of the file that the robot's daemon locks by flock, with its pid."""
     return runtime_folder() / f"{check_robot_name(robot)}.lock"
 
 

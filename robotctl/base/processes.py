@@ -2,8 +2,7 @@
 
     python -P -m robotctl.MODULE ARGUMENTS --report-fd 3
 
-The child sends reports, one JSON object per line, through a pipe of their own, because libraries
-print on stdout. It may receive lines on its stdin.
+The child sends reports, one JSON object per line, through a separate pipe.
 """
 
 from __future__ import annotations
@@ -233,6 +232,7 @@ class Child:
         return exit_code
 
 
+# A pipe of its own: libraries print on stdout (Fast DDS warns about lock files).
 CHILD_FD: Final = 3
 """The number of the pipe in the child, the first after stdin, stdout and stderr."""
 
@@ -251,10 +251,9 @@ def start(
 ) -> Child:
     """Start `command` with two more arguments, `option` and the number of the report descriptor.
 
-    With a `log`, the child writes stdout and stderr to that file, runs in a new session, outlives
-    this process and inherits no other descriptors. Without, it writes both to our stderr, and a
-    Ctrl-C in the terminal does not reach it. Its stdin is a pipe if `with_stdin` is set, otherwise
-    /dev/null.
+    With a `log`, the child writes stdout and stderr to that file, has a new session, outlives this
+    process and inherits no other descriptors. Without, both go to our stderr, and a Ctrl-C in the
+    terminal does not reach the child. Its stdin is /dev/null unless `with_stdin` is set.
     """
     ours: list[int] = []
     theirs: list[int] = []

@@ -1,4 +1,4 @@
-"""The journal of decisions, which is kept for years.
+"""The journal of decisions, kept for years.
 
 - `journal`: its entries and files.
 - `log`: the writer.

@@ -132,7 +132,7 @@ __all__ = [
 ]
 
 _MODULES = ("types", "patterns", "params", "state", "kernel", "codec")
-"""Where `__getattr__` searches for a public name, in this order."""
+"""The modules in which `__getattr__` searches for a public name, in order."""
 
 
 def __getattr__(name: str) -> object:

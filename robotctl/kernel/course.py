@@ -46,7 +46,7 @@ class Held:
     quiet_s: float = 0.0
 
     def refusal(self) -> str:
-        """Return why this velocity cannot be commanded, "" if it can."""
+        """Return the reason against commanding this velocity, "" if there is none."""
         if not (isfinite(self.linear_mps) and isfinite(self.angular_rps)):
             return f"a velocity of {self.linear_mps:g} m/s, {self.angular_rps:g} rad/s: use numbers"
         if not MIN_HELD_S <= self.for_s <= MAX_HELD_S:
@@ -101,7 +101,7 @@ class Course:
     held: Held | None = None
 
     def refusal(self) -> str:
-        """Return why these options cannot be driven, "" if they can."""
+        """Return the reason against driving these options, "" if there is none."""
         corner_m, angle_rad = self.corner_m, self.angle_rad
         if self.held is not None:
             return self.held.refusal()

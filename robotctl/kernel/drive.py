@@ -135,8 +135,7 @@ _TURNED = Pose(0.0, 0.0, pi)
 class Score:
     """Sums and maxima of the tracking errors over the odometry samples.
 
-    `error_m` is the last sample's distance from the reference. It is inf beyond `reach_m` of the
-    path, and if the robot does not follow a turn (`LOST_RAD`).
+    `error_m` is the last distance from the reference, inf if the robot does not follow the path.
     """
 
     samples: int = 0

@@ -185,7 +185,7 @@ def _first_that_applies(
 
 
 def remedies_for(cause: Cause | None) -> tuple[Remedy, ...]:
-    """Return what the operator can do about the cause of a mode, () if there is no cause."""
+    """Return the operator's remedies for the cause of a mode, () if there is no cause."""
     return () if cause is None else (RULE_OF[cause].remedy,)
 
 

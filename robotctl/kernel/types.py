@@ -456,7 +456,7 @@ class ReleaseEmergencyStop:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer to a request; `remedies` are what to do after a refusal, in order."""
+    """The answer to a request; after a refusal, `remedies` are in order."""
 
     request_id: int
     ok: bool
