@@ -211,8 +211,6 @@ class Listener:
 
     async def lost(self) -> None:
         """Wait until clients can no longer reach this process at the path."""
-        # A logout may remove the folder, a cleanup job may remove old files, another user may get
-        # control of the folder, or another process may replace the file.
         while self._is_in_place():  # noqa: ASYNC110 - nothing announces it
             await asyncio.sleep(LOOK_S)
 

@@ -117,7 +117,7 @@ class SimFaultParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MotionParams(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The common parameters of requests for a motion. With `wait`, the motion's end is awaited."""
+    """The common parameters of a motion. With `wait`, the reply comes after the motion."""
 
     source: Source
     replace: bool = False
@@ -127,10 +127,7 @@ class MotionParams(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class CourseParams(MotionParams, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The common parameters of `drive` and `drive_path`. None stands for a default.
-
-    The configuration may limit the speed below MAX_SPEED_MPS.
-    """
+    """The common parameters of `drive` and `drive_path`. None stands for a default."""
 
     reverse: bool = False
     open_loop: bool = False

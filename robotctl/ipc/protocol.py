@@ -146,9 +146,7 @@ def encode_error(
     exit_code: int = 1,
     details: Mapping[str, Any] | None = None,
 ) -> bytes:
-    """Encode one error line.
-
-    `exit_code` is the exit code for the client's process. `details` come from a RobotctlError.
+    """Encode one error line. `exit_code` is for the client's process.
 
     Raises:
         ValueError: `details` contains NaN or infinity.

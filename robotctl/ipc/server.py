@@ -111,7 +111,6 @@ def log_failure(what: str) -> None:
     A MemoryError goes to the loop's exception handler instead.
     """
     error = sys.exception()
-    # It concerns the whole daemon.
     if isinstance(error, MemoryError):
         context = {"message": what, "exception": error}
         asyncio.get_running_loop().call_exception_handler(context)

@@ -108,10 +108,7 @@ COMMANDS = {
 
 @dataclass(frozen=True, slots=True)
 class CommandType:
-    """A message type of the velocity command, with its encoder and decoder.
-
-    `decode` raises `struct.error` if data are missing.
-    """
+    """A message type of the velocity command. `decode` raises `struct.error` for missing data."""
 
     type_name: str
     """The type as `package/msg/Name`."""

@@ -60,10 +60,7 @@ class PatientSender:
     """Publishes messages no faster than reliable subscribers acknowledge them."""
 
     def __init__(self, publisher: Publisher, in_flight: int, stopped: threading.Event) -> None:
-        """Wait after `in_flight` messages, or the depth of the publisher's queue if that is less.
-
-        Setting `stopped` ends a wait.
-        """
+        """Wait after `in_flight` messages, or fewer for a short queue. `stopped` ends a wait."""
         self.topic = str(publisher.topic_name)
         self.given_up = 0
         """The number of waits that ended before all messages were acknowledged."""
@@ -118,8 +115,7 @@ class RequestSender:
         return True
 
     def _was_sent(self, event: Any) -> bool:
-        # Client and server record one event each of a request, with different client gids. The
-        # request is sent for the first of the two.
+        # Client and server each record an event of a request: send it for the first of them.
         info = event.info
         key = (info.sequence_number, repr(event.request[0]))  # bytes differ in their padding
         balance = self._balances.pop(key, 0)

@@ -44,9 +44,7 @@ REQUESTS = QoSProfile(depth=1_500)
 PARAMETERS = QoSProfile(depth=10)
 """For parameter services. rclpy's depth of 1000 would take 0.3 MB more for each node."""
 
-# If it is short, even RELIABLE drops messages (rmw_fastrtps). If it is long, Fast DDS 2.14, which
-# searches all waiting messages at each new one (`History::get_change_nts`), may never catch up. At
-# 45,000 messages a second, none were lost with 1,500, and three quarters with 3,000.
+# If it is short, even RELIABLE drops messages (rmw_fastrtps). For the limit see docs/design.md.
 RECORDING_DEPTH = 1_500
 """The depth of a recording subscription's queue."""
 
@@ -76,10 +74,7 @@ def recording(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile:
 
 
 def recording_latched(offered: Iterable[QoSProfile], *, bulky: bool) -> QoSProfile | None:
-    """Return the profile of an additional subscription for the latched messages.
-
-    None if no publisher or every publisher latches.
-    """
+    """Return the profile of an additional subscription for latched messages, None if not needed."""
     offers = list(offered)
     latched = [each for each in offers if each.durability is DurabilityPolicy.TRANSIENT_LOCAL]
     return recording(latched, bulky=bulky) if 0 < len(latched) < len(offers) else None

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str]) -> int:
-    """Answer one query, or report its failure; return 0 in both cases."""
+    """Answer one query, or report its failure. Return 0 in both cases."""
     environment.prepare()
     send = partial(send_report, report_fd(arguments))
     with suppress(BrokenPipeError, asyncio.CancelledError):  # nothing waits for the answer any more

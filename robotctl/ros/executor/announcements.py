@@ -108,9 +108,7 @@ def _set_callback(
 
 @cache
 def _eventfd_write() -> int:
-    # glibc's own function, called in a DDS thread. A Python function would deadlock there: the
-    # DDS thread holds the reader's mutex and waits for the GIL, the loop the reverse (rclpy issue
-    # 1722).
+    # A Python function would deadlock in the DDS thread (docs/design.md; rclpy issue 1722).
     address = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p).value
     assert address is not None
     return address

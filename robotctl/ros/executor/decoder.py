@@ -129,7 +129,6 @@ class _Source:
         ]
         self._end_run()
         kind, message = self._constant(message_type), self._variable()
-        # Without the constructors: rclpy, which calls them, takes five times as long.
         self._line(f"{message} = new({kind})")
         self._line(f"{message}._check_fields = {bool(default._check_fields)}")
         for slot, value in values:

@@ -38,7 +38,7 @@ from robotctl.ros.executor.waitables import GuardSource, WaitableSource, WaitSet
 
 
 class Nodes:
-    """The nodes of one executor, which is set as each node's attribute `executor`."""
+    """The nodes of one executor. Each node's attribute `executor` is set, as in rclpy."""
 
     # Any as a node's type: rclpy's types accept only rclpy's own executors.
     def __init__(self, executor: Any) -> None:

@@ -21,9 +21,7 @@ _rclpy_await: Callable[[Future], Generator[Any, None, Any]] = Future.__await__
 
 
 async def wait(future: Future) -> Any:
-    """Return the result of an rclpy Future, without keeping the loop busy.
-
-    If the wait is cancelled, the future is cancelled too.
+    """Return the result of an rclpy Future. Cancelling the wait cancels the future.
 
     Raises:
         asyncio.CancelledError: The future was cancelled.
@@ -117,7 +115,6 @@ def callbacks_at_once(
 
     After the block, `executor` runs new done callbacks. If it is None, rclpy calls them directly.
     """
-    # The executor itself would run them in the next iteration of the loop.
     future._set_executor(immediate)
     try:
         yield

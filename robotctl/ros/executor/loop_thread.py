@@ -63,10 +63,7 @@ class LoopThread:
 
 
 class FifoScheduling:
-    """Runs the calling thread under SCHED_FIFO until `restore`.
-
-    Threads that it starts do not inherit SCHED_FIFO.
-    """
+    """Runs the calling thread, but none that it starts, under SCHED_FIFO until `restore`."""
 
     def __init__(self, priority: int) -> None:
         """Request SCHED_FIFO at `priority`, 1 (low) to 99. `description` is the result."""

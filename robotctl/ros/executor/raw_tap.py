@@ -37,9 +37,9 @@ class RawTap:
     __slots__ = ("__weakref__", "latency_s", "poll", "sink", "views")
 
     def __init__(self, sink: Sink, *, latency_s: float | None = 0.01, views: bool = False) -> None:
-        """Call `sink` at most about `latency_s` seconds late, or only by `poll` if that is None.
+        """Call `sink`, a ViewSink if `views` is true, at most about `latency_s` seconds late.
 
-        `views` says that `sink` is a ViewSink.
+        If `latency_s` is None, only `poll` calls `sink`.
         """
         self.sink = sink
         self.latency_s = latency_s

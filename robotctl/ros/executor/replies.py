@@ -53,7 +53,7 @@ class _Waiting:
 
 
 class Replies:
-    """Sends each response once its client's reader is discovered, in the loop's thread."""
+    """Sends each response once its client's reader is discovered. For the loop's thread only."""
 
     def __init__(
         self, runtime: Runtime, where: str, readers: Callable[[], Container[bytes]]

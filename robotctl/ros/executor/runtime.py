@@ -40,17 +40,12 @@ class Pooled(Protocol):
     """A `Source` that a `Pool` polls."""
 
     def poll(self) -> bool:
-        """Deliver the waiting data. Return True if the time slice ended before."""
+        """Deliver the waiting data. Return True if the time slice ended with data left."""
 
 
 class Pool:
-    """Polls its `Source`s when data arrive, and rests for `rest_s` seconds after each poll.
+    """Polls its `Source`s when data arrive, and rests for `rest_s` seconds after each poll."""
 
-    In a flood of messages it rests for FLOOD_REST_S at most.
-    """
-
-    # A wake-up costs about 50 us, reading a message 2 to 10. So messages that may come late are
-    # collected: while the pool rests, the loop does not watch its epoll.
     def __init__(self, loop: AbstractEventLoop, rest_s: float) -> None:
         self._loop = loop
         self._rest_s = rest_s
@@ -113,7 +108,6 @@ class Pool:
         self._busy_ns += now_ns - begun_ns
         if left:
             return 0.0
-        # The more messages wait, the longer Fast DDS takes to add one: so rest less in a flood.
         flooded = self._busy_ns > FLOODED_SHARE * (now_ns - self._rested_ns)
         self._busy_ns, self._rested_ns = 0, now_ns
         return min(self._rest_s, FLOOD_REST_S) if flooded else self._rest_s

@@ -178,7 +178,7 @@ class EventFdSource(Source):
             os.eventfd_write(self._fd, 1)
 
     def poll(self) -> bool:
-        """Deliver the waiting data. Return True if the time slice ended before."""
+        """Deliver the waiting data. Return True if the time slice ended with data left."""
         try:
             self.announced = os.eventfd_read(self._fd)
         except BlockingIOError:

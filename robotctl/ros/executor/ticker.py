@@ -196,7 +196,6 @@ class Ticker:
             return
         if self._timer is None:
             self._loop = loop
-            # Not a timer of asyncio, which rounds up to 1 ms.
             self._timer = TimerFd()
             now_ns = time.monotonic_ns()
             self._due_ns = beat_before(now_ns + self._lead_ns, self.period_ns) - self._lead_ns

@@ -139,7 +139,6 @@ class WaitSetThread:
                     return
                 if self._stopping.is_set() or not self._post(self._dispatch, wait_set, sources):
                     return
-                # Pause while the loop takes the data and runs the callbacks.
                 self._taken.acquire()
 
     def _build(self, sources: list[WaitSetSource], held: ExitStack) -> Any:
@@ -220,10 +219,7 @@ class GuardSource(WaitSetSource):
 
 
 class WaitableSource(WaitSetSource):
-    """Runs the callbacks of a Waitable whose class is not rclpy's.
-
-    After an exception, the Waitable is left out for RETRY_AFTER_FAILED_TAKE_S.
-    """
+    """Runs the callbacks of a Waitable whose class is not rclpy's."""
 
     def __init__(
         self,

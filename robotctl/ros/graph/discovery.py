@@ -103,8 +103,7 @@ class IntroductionWriter:
             RclCallFailed: The middleware could not create the writer.
         """
         self._node = node
-        # Created last: the middleware announces publishers in the order of their creation, so a
-        # process that acknowledges our message knows all others.
+        # Created last, so that a process that acknowledges it knows all our earlier publishers.
         options = function("rmw_get_default_publisher_options", PublisherOptions)()
         self._writer = _create(node, "rmw_create_publisher", _qos(1), options)
 
@@ -253,8 +252,7 @@ class Discovery:
 
         Always False if other machines may take part.
         """
-        # Fast DDS repeats a lost announcement only after 3 s. So processes here are counted by
-        # ports.
+        # Counted by ports: Fast DDS repeats a lost announcement only after 3 s.
         if not is_on_this_machine_only():
             return False
         self._introductions.look()
@@ -362,8 +360,7 @@ class GraphChanges:
 
     # In the thread
 
-    # rcl has no callback for graph changes, so a thread waits. After a change it pauses until the
-    # task calls `wait` again, so that constant changes cost little.
+    # A thread, because rcl has no callback for changes. Its pauses keep constant changes cheap.
     def _run(self) -> None:
         context, node = self._node.context.handle, self._node.handle
         assert context is not None

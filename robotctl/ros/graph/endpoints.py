@@ -184,10 +184,7 @@ def overview(node: Node) -> dict[str, Any]:
 
 
 def topic_facts(node: Node, topic: str) -> dict[str, Any]:
-    """Return name, types, publishers and subscriptions of the topic with the full name `topic`.
-
-    Each endpoint has its node's full name ("" while unknown), its type, gid and QoS.
-    """
+    """Return name, types, publishers and subscriptions of the topic with the full name `topic`."""
     names = topic.encode(errors="surrogateescape").decode(errors="backslashreplace")
     writers = publishers(node, topic)[:MAX_NAMES]
     readers = subscriptions(node, topic)[:MAX_NAMES]
@@ -200,10 +197,7 @@ def topic_facts(node: Node, topic: str) -> dict[str, Any]:
 
 
 def node_facts(node: Node, name: str) -> dict[str, Any] | None:
-    """Return the topics and services of the node with the full name `name`.
-
-    Return None if no such node is discovered.
-    """
+    """Return topics and services of the node with the full name `name`, None if it is unknown."""
     namespace, _, base = name.rpartition("/")
     try:
         with node.handle:

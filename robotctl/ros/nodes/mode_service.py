@@ -59,8 +59,7 @@ refused as busy.
 class ModeService:
     """Node `mode_service`: `set_mode` (SetMode), `estop` (Trigger), `robot_status` (RobotStatus).
 
-    Requests do not wait for each other. Both services publish their calls on `_service_event`
-    topics.
+    Requests do not wait for each other.
     """
 
     def __init__(

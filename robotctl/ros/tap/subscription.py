@@ -149,10 +149,8 @@ class TappedSubscription:
             self.close()  # one alone would record a part of the messages as if it were all
             raise
 
-    # A transient-local subscription gets latched messages, but nothing of volatile publishers. A
-    # volatile one gets new messages of all publishers, but no latched ones (DDS 1.4, 2.2.3.4). So
-    # both kinds of publisher take two subscriptions. Subscribing again delivers latched messages
-    # again.
+    # A transient-local subscription gets nothing of volatile publishers, a volatile one no latched
+    # messages (DDS 1.4, 2.2.3.4). Subscribing again delivers latched messages again.
     def _sinks(self, requests: Requests) -> Iterator[tuple[ViewSink, QoSProfile]]:
         requested, latched = requests
         if latched is not None:

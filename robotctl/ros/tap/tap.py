@@ -208,10 +208,7 @@ class Tap:
         open_sink: Callable[[TopicDescription], ViewSink],
         wanted: Callable[[str, str], bool] = lambda topic, type_name: True,
     ) -> None:
-        """Call `open_sink` for each new topic, to get the sink for its messages.
-
-        Topics with a false `wanted(topic, type)` are not subscribed to.
-        """
+        """Call `open_sink` for the sink of each new topic with a true `wanted(topic, type)`."""
         self.node = session.helper()
         """The hidden node with all subscriptions of the tap."""
 
@@ -356,10 +353,7 @@ class Tap:
             self._leave_out(topic, type_names, problem)
 
     def _follow(self, tapped: TappedSubscription, *, inspect: bool) -> None:
-        """Adapt the subscription to its publishers.
-
-        End it if all publishers have other types, or if there have been none for ABANDONED_S.
-        """
+        """Adapt the subscription to its publishers, or end it if none of its type is left."""
         topic = tapped.topic
         publishers = endpoints.publisher_count(self.node, topic)
         self.mismatches.look(topic, publishers)
