@@ -1,7 +1,4 @@
-"""Fields of a topic over time as NumPy arrays, and tables as Parquet files.
-
-Parquet needs duckdb (the extra `parquet`).
-"""
+"""Fields of a topic as NumPy arrays, and tables as Parquet (with the extra `parquet`)."""
 
 from __future__ import annotations
 

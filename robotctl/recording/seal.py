@@ -96,7 +96,7 @@ class Head:
 class StoredKey:
     """The content of `key.json`, with keys in hex.
 
-    `seed` is the private key, `root` the first public key of the chain, `files` the opened files.
+    `seed` is the private key, `root` the first public key of the chain. `files` counts files.
     """
 
     root: str

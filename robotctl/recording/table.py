@@ -62,7 +62,7 @@ TIME_COLUMNS: Final = (
     FieldPath(("publish_ns",), Field("publish_ns", "int64")),
     FieldPath(("time_s",), Field("time_s", "float64")),
 )
-"""Receipt and publication [ns since the epoch], and receipt since the first message [s]."""
+"""First columns: receipt, publication [ns since the epoch], receipt since the first message [s]."""
 
 _DESCRIBED_IN: Final = "ros2msg"
 

@@ -1,6 +1,6 @@
 """Files of recordings on the disk: access rights, atomic output, writes at an offset.
 
-Only the owner of a recording and, if it is shared, its group may read it and files made from it.
+Only the owner and, if shared, the group may read a recording and files made from it.
 """
 
 from __future__ import annotations

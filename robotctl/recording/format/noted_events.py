@@ -1,7 +1,4 @@
-"""The effects of the kernel that become events, and the event message of Foxglove.
-
-The message is specified at https://docs.foxglove.dev/docs/sdk/schemas/event.
-"""
+"""The effects of the kernel that become events, and the event message of Foxglove."""
 
 from __future__ import annotations
 
@@ -53,6 +50,7 @@ def noted_event(
 
 TOPIC: Final = "robotctl/events"
 TYPE_NAME: Final = "foxglove_msgs/msg/Event"
+"""Specification: https://docs.foxglove.dev/docs/sdk/schemas/event."""
 
 _LINE: Final = "=" * 80
 

@@ -266,7 +266,7 @@ def make_clip(job: ClipJob, on_progress: Progress = lambda done, total: None) ->
 
 
 def clip_job(given: dict[str, Any], report: Report) -> None:
-    """Cut the clip of the ClipJob `given`, and report `target` and `lost`, in a new process."""
+    """Cut the clip of the ClipJob `given`, and report the result. Called in a new process."""
     made = make_clip(msgspec.convert(given, ClipJob, dec_hook=lambda kind, value: kind(value)))
     report({"target": str(made.target), "lost": list(made.lost)})
 

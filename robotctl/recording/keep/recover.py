@@ -92,7 +92,7 @@ def seal_of_copy(file: InputFile) -> Iterator[bytes]:
 class RecoveryReport:
     """The result of a recovery. `lost` has a sentence per part that was not recovered.
 
-    Higher read limits recover more if `limit_reached`, a later attempt after a `failure`.
+    Higher read limits recover more if `limit_reached`; a later attempt may after a `failure`.
     """
 
     target: Path

@@ -194,9 +194,7 @@ def enforce_retention(
 
 
 def remove_recording(folder: CatalogFolder) -> list[CatalogFile]:
-    """Remove the files and clips of a recording, and return them. Blocks.
-
-    The recording must be neither live nor kept. The folder stays if it has other files.
+    """Remove files and clips of a recording, neither live nor kept, and return them. Blocks.
 
     Raises:
         OSError: A file cannot be removed; the files before it are removed.

@@ -102,8 +102,7 @@ class Contents:
     ) -> None:
         """Walk the records in `data`, the content of a place.
 
-        `define` gets opcode and content of each schema and channel, `begin` the id of each channel
-        before its first message.
+        `define` gets opcode and content of schemas and channels, `begin` each channel of messages.
 
         Raises:
             Damaged: A record is cut off or malformed.
@@ -129,7 +128,7 @@ class Contents:
         return {channel: len(entries) // 2 for channel, entries in self.entries.items()}
 
     def window(self) -> tuple[int, int]:
-        """Return the lowest and the highest log time [ns] of the messages, at least one."""
+        """Return the lowest and the highest log time [ns]. There must be a message."""
         times = [entries[::2] for entries in self.entries.values()]
         return min(map(min, times)), max(map(max, times))
 
@@ -150,7 +149,7 @@ def topic_of(channel: Channel, type_name: str) -> Topic:
 
 
 def note_missing(missing: list[str], sentence: str) -> None:
-    """Append `sentence` to `missing` or, once after MAX_SENTENCES of them, "and more"."""
+    """Append `sentence` to `missing`, or "and more" once MAX_SENTENCES are there."""
     if len(missing) < MAX_SENTENCES:
         missing.append(sentence)
     elif len(missing) == MAX_SENTENCES:
@@ -199,7 +198,7 @@ class FileIndex:
     """Message counts of the completely read places, by the offset of each place."""
 
     limit_reached: bool = False
-    """Whether higher limits would let a missing part be read."""
+    """Whether a missing part can be read with higher limits."""
 
     def miss(self, sentence: str) -> None:
         """Add a sentence about an unreadable part."""

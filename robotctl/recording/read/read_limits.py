@@ -26,7 +26,7 @@ UNPACKED_BYTES: Final = 512 << 20
 """Least limit of all unpacked chunks of a file. They take 0.25 s (0.5 s with a copy)."""
 
 UNPACKED_RATIO: Final = 512
-"""The same limit for large files, as a multiple of the file size."""
+"""Limit of all unpacked chunks of a large file, as a multiple of its size."""
 
 FAST_CHUNK_BYTES: Final = 24 << 20
 FAST_CHUNK_DISCOUNT: Final = 10

@@ -127,8 +127,6 @@ def read_messages(
 ) -> Iterator[Message]:
     """Yield the messages of `topics`, or of all for None, in the order of log time.
 
-    `on_missing` gets a sentence about each part that cannot be read.
-
     Raises:
         UnreadableFile: Nothing can be read or, without `on_missing`, a part cannot be read.
     """
@@ -237,7 +235,7 @@ class Recording:
 
     @property
     def is_cut_off(self) -> bool:
-        """Whether robotctl did not close the recording. True for most files of other programs."""
+        """Whether recording ended without closing. Also True for files of other programs."""
         return not self.is_live and not self._files[-1].index.has_metadata(
             LEDGER_RECORD, CLIP_RECORD
         )

@@ -35,8 +35,8 @@ class PackedMessages:
 class PackBuffer:
     """Memory for many packed messages.
 
-    A message must end by byte `limit`. The packer leaves a buffer whose `limit` is 0. `unordered`
-    has the channels whose log times may step back.
+    A message must end by byte `limit`. With `limit` 0, the packer changes to another buffer.
+    `unordered` has the channels whose log times may step back.
     """
 
     # There is no lock: `Recorder.write` writes a message at `end`, then its index entry, and
@@ -68,9 +68,7 @@ class PackBuffer:
             self.indexes.append(array("Q"))
 
     def take(self) -> PackedMessages | None:
-        """Return the messages packed since the last take, None if there are none.
-
-        Called by the writer thread. The result is valid until `recycle`.
+        """Return the messages since the last take, or None. Called by the writer thread.
 
         Raises:
             MemoryError: There is no memory; nothing is taken.
@@ -108,7 +106,7 @@ class PackBuffer:
         return {channel: count // 2 for channel, count in counts.items()}
 
     def recycle(self) -> None:
-        """Empty the buffer. Call this only after a take that returned all messages."""
+        """Empty the buffer. All messages must be taken, and are no longer valid."""
         self._taken = 0
         self.end = 0
         self.limit = self.size = len(self.data)
