@@ -202,7 +202,7 @@ class OdometrySourceFound:
 
 @dataclass(frozen=True, slots=True)
 class BatteryReceived:
-    """The battery level in message `sequence` of the gauge `publisher` (a DDS identity)."""
+    """The raw battery level in message `sequence` of the gauge `publisher` (a DDS identity)."""
 
     t_ns: int
     level: float
@@ -456,7 +456,7 @@ class ReleaseEmergencyStop:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer to a request; after a refusal, `remedies` are in order."""
+    """The answer to a request, after a refusal with `remedies` in order."""
 
     request_id: int
     ok: bool
