@@ -41,13 +41,13 @@ LEDGER_RECORD = "robotctl.ledger"
 """Message counts by topic since the recording began, in JSON, written when a file is finished."""
 
 CLIP_RECORD = "robotctl.clip"
-"""In a clip: its source, its event, and what is missing."""
+"""In a clip: the source files, the event and the losses."""
 
 RECOVERY_RECORD = "robotctl.recovery"
-"""In a recovered or repaired file: what is lost."""
+"""In a recovered or repaired file: the losses."""
 
 CONVERSION_RECORD = "robotctl.conversion"
-"""In a converted file: the files it was made from, and what is missing."""
+"""In a converted file: the source files and the losses."""
 
 OWN_ARITHMETIC = "own arithmetic, "
 """Prefix of `MADE_BY` if the kernel computed with its own sin, cos, atan2 and hypot."""
@@ -55,7 +55,7 @@ OWN_ARITHMETIC = "own arithmetic, "
 _PLATFORM = f"Python {platform.python_version()}, {' '.join(platform.libc_ver())}".rstrip()
 
 MADE_BY = f"{OWN_ARITHMETIC}{_PLATFORM}"
-"""What computed the floats of a recording. Without OWN_ARITHMETIC, the C library did."""
+"""The origin of the floats of a recording. Without OWN_ARITHMETIC, it is the C library."""
 
 
 class EventKind(StrEnum):
@@ -68,7 +68,7 @@ class EventKind(StrEnum):
 
 
 CLIP_KINDS = tuple(kind for kind in EventKind if kind is not EventKind.DRIVE_ENDED)
-"""The kinds that a clip can be about."""
+"""The kinds of events for clips."""
 
 
 class Compression(Enum):
@@ -91,12 +91,12 @@ def natural_order(path: Path) -> list[tuple[int, int, str]]:
 
 
 PICTURE_FILE: Final = "path.png"
-"""A picture of the path of the last drive that a command waited for."""
+"""A picture of the path of the last drive of a waiting command."""
 
 PAGE_FILE: Final = "report.html"
 
 INDEX_FILE: Final = "index.parquet"
-"""The file that `robotctl index` writes."""
+"""The file of `robotctl index`."""
 
 _COMPARISONS: Final = "compared_with_*.html"
 """Pages in which earlier versions compared two recordings."""

@@ -62,7 +62,7 @@ _MESSAGE_INDEX_HEAD = struct.Struct("<BQHI")
 
 
 def record_bytes(record: McapRecord) -> bytes:
-    """Return the record as it stands in a file, with opcode and length."""
+    """Return the record with opcode and length, as in a file."""
     builder = RecordBuilder()
     record.write(builder)
     data: bytes = builder.end()  # the package leaves it untyped
@@ -92,7 +92,7 @@ class Chunk:
 
     @property
     def stored_size(self) -> int:
-        """The size of the records as they will be stored [bytes]."""
+        """The stored size of the records [bytes]."""
         return sum(map(len, self.parts))
 
 

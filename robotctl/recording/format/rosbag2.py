@@ -24,7 +24,7 @@ _MAX_METADATA_CHARACTERS = 4 << 20
 """Maximum length of a `metadata.yaml` that is read, enough for 8,000 topics."""
 
 _NO_START_NS = 2**63 - 1
-"""What rosbag2 writes as the start of a recording without messages."""
+"""The start of a recording without messages, as rosbag2 writes it."""
 
 # A YAML parser needs a second for 1 MB.
 # With possessive quantifiers (`*+`) the search time is proportional to the length of any text.

@@ -23,7 +23,7 @@ class MessageCounts:
     """Missing between two received messages: gaps in a publisher's sequence numbers."""
 
     unseen: int = 0
-    """Sent by a publisher before the first message that was received from it."""
+    """Sent by a publisher before its first received message."""
 
     not_repeated: int = 0
     """Latched messages missing in a later file, for lack of memory or file space."""
@@ -36,7 +36,7 @@ COUNTERS: Final = tuple(field.name for field in fields(MessageCounts))
 
 
 LATCHED_QOS = "durability: transient_local"
-"""The offered QoS of a topic with a latched publisher contains this text."""
+"""A text in the offered QoS of each topic with a latched publisher."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -218,7 +218,7 @@ def _write_clip(
 
 
 PATIENCE_S = 3.0
-"""How long to wait for messages of a live recording after they are due [s]."""
+"""Maximum delay of messages of a live recording."""
 
 _LOOK_AGAIN_S = 0.1
 

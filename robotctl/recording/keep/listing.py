@@ -28,7 +28,7 @@ from robotctl.recording.read.read_limits import Damaged
 from robotctl.recording.read.records import InputFile, read_header
 
 KEEP_FILE = "keep"
-"""A recording with a file of this name in its folder is never removed."""
+"""The name of a file that protects the recording in its folder from removal."""
 
 CLIPS_FOLDER = "clips"
 """Subfolder for the clips of a recording, which are not part of the bag."""

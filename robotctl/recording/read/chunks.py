@@ -201,7 +201,7 @@ def _is_whole(file: InputFile, offset: int, budget: UnpackBudget) -> bool:
 SERIALIZED_METADATA: Final = "serialized_metadata"
 
 ZSTD: Final = "zstd"
-"""The only format with a plugin for rosbag2."""
+"""The compression of rosbag2's only plugin."""
 
 # Possessive (`*+`): any text takes time in proportion to its length.
 _MODE = re.compile(r"^( *+compression_mode: *+)[\"']?(\w*+)[\"']?(?= *+$)", re.MULTILINE)

@@ -183,13 +183,13 @@ class FileIndex:
 
     declared_metadata: int = 0
     declared_attachments: int = 0
-    """How many attachment records the summary counts."""
+    """Number of attachment records by the summary."""
 
     metadata_offsets: set[int] = field(default_factory=set)
     """Offsets of the records in `metadata`."""
 
     records: Tally = field(default_factory=Tally)
-    """How many records were walked, by the offset of their place."""
+    """Number of walked records by the offset of their place."""
 
     unpacked: Tally = field(default_factory=Tally)
     """The cost of decompressing single messages, by the offset of their place."""

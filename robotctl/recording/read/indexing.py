@@ -468,7 +468,7 @@ class _Scan:
 
 
 _GROWING_S = 2.0
-"""How long reading a growing file is retried before it is scanned."""
+"""Time of retries to read a growing file, before a scan."""
 
 _LOOK_AGAIN_S = 0.002
 

@@ -255,7 +255,7 @@ MAX_FLIP_BYTES = 1 << 28
 """In larger data, flips of different bits may change a CRC-32 in the same way."""
 
 _GROWING_S = 2.0
-"""How long reading the end of a growing file is retried."""
+"""Time of retries to read the end of a growing file."""
 
 _LOOK_AGAIN_S = 0.002
 

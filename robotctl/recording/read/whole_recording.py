@@ -119,10 +119,10 @@ class KnownFile:
     """The result of `compare_known`."""
 
     wrong: str = ""
-    """Why the file cannot be the known one, or ""."""
+    """The reason against the known file, or ""."""
 
     unproved: str = ""
-    """Which part of the known seal a repair or a conversion did not keep, or ""."""
+    """The part of the known seal lost in a repair or a conversion, or ""."""
 
 
 def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:

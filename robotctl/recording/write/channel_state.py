@@ -1,4 +1,4 @@
-"""What the recorder remembers and counts for each channel."""
+"""The counts and latched messages of each channel of a recorder."""
 
 from __future__ import annotations
 

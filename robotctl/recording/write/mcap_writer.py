@@ -66,7 +66,7 @@ class FileSeal:
 
         self._head: Link | None = None
         self.failure = ""
-        """Why the file is no longer sealed, or ""."""
+        """The reason for the end of the seal, or ""."""
 
     def open(self, file: str) -> bytes:
         """Begin to sign, and return the opening record, b"" after a failure."""
@@ -141,7 +141,7 @@ LEAST_BYTES: Final = 64 << 10
 PAGE_BYTES: Final = 4096
 
 COMMITS: Final = 3
-"""New room is large enough for this number of further commits of the same size."""
+"""Number of further commits of the same size that fit into new room."""
 
 
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
@@ -193,7 +193,7 @@ class McapFile:
         self._data_crc = 0
         self._seal = seal
         self._sealed_pending = 0
-        """How many bytes at the beginning of `_pending` the seal covers already."""
+        """Number of bytes at the beginning of `_pending` that the seal covers already."""
 
         self._good: TrailerState | None = None
         """The state after the last successful write."""

@@ -51,7 +51,7 @@ class TopicFilter:
 
 
 class TopicPattern:
-    """A pattern as `TopicFilter` describes it."""
+    """A pattern as in `TopicFilter`."""
 
     def __init__(self, text: str) -> None:
         self._of_type = text.startswith(TYPE_PREFIX)

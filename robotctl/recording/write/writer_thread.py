@@ -51,10 +51,10 @@ def rank_below(nice: int) -> None:
 
 
 HEAVY_BYTES: Final = 64 << 10
-"""Other topics' messages get a second chunk only if they have at least this many bytes."""
+"""Minimum data of other topics for a second chunk [bytes]."""
 
 HEAVY_RATIO: Final = 4
-"""A second chunk is made only if the other topics have this many times the evidence's bytes."""
+"""Minimum ratio of other topics' data to the evidence for a second chunk."""
 
 assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 
@@ -157,7 +157,7 @@ _BREATH_S = 0.001
 """Pause before a retry [s]."""
 
 _SETTLE_S = 1.0
-"""How long the thread waits at its end for the packing of a last message."""
+"""Time limit at the end for the packing of a last message."""
 
 
 class WriterCommand(Enum):
@@ -168,7 +168,7 @@ class WriterCommand(Enum):
 
 
 Queued = PackBuffer | LargeMessage | RecordedEvent | WriterCommand
-"""What the event loop may queue for the writer thread."""
+"""The items in the queue of the writer thread."""
 
 
 class WriterThread:
