@@ -296,10 +296,7 @@ class Graph(TypedDict):
 
 
 class GraphEndpoint(TypedDict):
-    """A publisher or a subscription. `node` is "" while its node is unknown.
-
-    `qos` has reliability, durability, history and depth. "unknown" and 0 are unknown values.
-    """
+    """A publisher or a subscription. `node` is "" while its node is unknown."""
 
     node: str
     type: str

@@ -106,10 +106,7 @@ def encode_failure(request_id: int | str | None, code: Code, error: RobotctlErro
 
 
 def log_failure(what: str) -> None:
-    """Log the exception that is being handled, with `what` as the message.
-
-    A MemoryError goes to the loop's exception handler instead.
-    """
+    """Log the handled exception, or pass a MemoryError to the loop's exception handler."""
     error = sys.exception()
     if isinstance(error, MemoryError):
         context = {"message": what, "exception": error}
@@ -143,10 +140,7 @@ def _internal_error(request: Request) -> bytes:
 
 
 class Connection:
-    """Serves one client until a disconnect, a missed deadline or an overlong line.
-
-    With `over_cap` (too many clients) it serves only two lines, hello and an emergency stop.
-    """
+    """Serves one client. With `over_cap`, it serves only hello and an emergency stop."""
 
     def __init__(
         self,
@@ -228,10 +222,7 @@ class Connection:
         return None
 
     async def _receive(self) -> bytes:
-        """Read like `loop.sock_recv`, but leave the data in the socket if the read is cancelled.
-
-        Other tasks get a turn first.
-        """
+        """Read some bytes, but leave the data in the socket if the read is cancelled."""
         while True:
             self._is_listening = True
             try:

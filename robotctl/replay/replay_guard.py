@@ -141,10 +141,7 @@ class ReplayGuard:
         return [replace(route, name=absolute(route.name, self.prefix)) for route in routes]
 
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
-        """Return the routes that would command a robot and that the user did not name.
-
-        The list is empty with a prefix. A route counts even without a subscriber.
-        """
+        """Return the routes without prefix that would command a robot and are not in --topics."""
         if self.prefix:
             return []
         return [route for route in routes if is_command(route) and not self.names(route)]

@@ -1,7 +1,4 @@
-"""ROS 2 in the asyncio loop: the only package of robotctl that imports rclpy.
-
-The names of `__all__` are loaded on first use.
-"""
+"""ROS 2 in the asyncio loop: the only package of robotctl that imports rclpy."""
 
 from __future__ import annotations
 

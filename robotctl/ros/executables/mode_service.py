@@ -127,9 +127,7 @@ def main() -> int:
 
 
 def _only_service(alone: bool, context: Context) -> ModeService:
-    """Create the node if no other node serves `set_mode`.
-
-    Unless `alone`, wait for discovery first.
+    """Create the node if no other node serves `set_mode`. Wait for discovery unless `alone`.
 
     Raises:
         UsageError: A parameter of `GIVEN_UP` is set.

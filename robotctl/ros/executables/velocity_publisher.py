@@ -48,10 +48,7 @@ ACKNOWLEDGED_S = 1.0
 
 
 def sweep_mps(number: int) -> float:
-    """Return the speed [m/s] of the sweep's step `number`, counted from 0.
-
-    The steps are 0.1, 0.2 ... 2.0, 1.9 ... -2.0, -1.9 ... 0.0, and then repeat.
-    """
+    """Return speed `number` (from 0) of the sweep 0.1, 0.2 ... 2.0, 1.9 ... -2.0 ... 0.0 m/s."""
     place = (number + 1 + MAX_STEPS) % (4 * MAX_STEPS)
     return (MAX_STEPS - abs(place - 2 * MAX_STEPS)) / STEPS_PER_MPS
 

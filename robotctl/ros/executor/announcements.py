@@ -140,9 +140,7 @@ _passed = False
 
 
 async def check_announcements(context: Context) -> None:
-    """Check that rcl announces a message of this process, and returns the right bytes.
-
-    After a success, later calls do nothing.
+    """Check, until a first success, that rcl announces a message and returns the right bytes.
 
     Raises:
         UnsupportedPlatform: The check failed; the error text names the step.

@@ -212,9 +212,7 @@ class AsyncioExecutor:
     # Calls to await
 
     async def call(self, client: Client, request: Any, *, timeout_s: float | None) -> Any:
-        """Call a service and return its response.
-
-        The request is lost if no server is discovered yet.
+        """Call a service and return its response. Without a server, the request is lost.
 
         Raises:
             TimeoutError: No response came within `timeout_s` seconds (None: no deadline).

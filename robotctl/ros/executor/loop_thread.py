@@ -43,9 +43,7 @@ class LoopThread:
             callback()
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call `callback` in a later iteration of the loop.
-
-        Before `open`, `callback` is kept. After `give_up`, it is called at once.
+        """Call `callback` in a later turn of the loop or, after `give_up`, at once.
 
         Raises:
             RuntimeError: The loop is closed.

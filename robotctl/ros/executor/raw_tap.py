@@ -31,16 +31,14 @@ class RawTap:
 
     `sink` gets the serialized message, the wall-clock times [ns] of reception and publication, and
     the number and gid (16 bytes) of its publisher. A gap in the numbers of one gid is a lost
-    message. `sink` must not be async. In an executor of rclpy, the gid is `UNKNOWN_GID`.
+    message. `sink` must not be async, and is a ViewSink with `views`. In an executor of rclpy, the
+    gid is `UNKNOWN_GID`.
     """
 
     __slots__ = ("__weakref__", "latency_s", "poll", "sink", "views")
 
     def __init__(self, sink: Sink, *, latency_s: float | None = 0.01, views: bool = False) -> None:
-        """Call `sink`, a ViewSink if `views` is true, at most about `latency_s` seconds late.
-
-        If `latency_s` is None, only `poll` calls `sink`.
-        """
+        """Call `sink` at most about `latency_s` seconds late, or only by `poll` if that is None."""
         self.sink = sink
         self.latency_s = latency_s
         self.views = views

@@ -169,10 +169,7 @@ def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
 
 
 def reader_of(header: Any) -> bytes | None:
-    """Return the gid of the client's reader of responses, from the header of its request.
-
-    Return None if the gid is unknown, as without Fast DDS.
-    """
+    """Return the gid of the reader of the response to a request, None if it is unknown."""
     if isinstance(header, _rclpy.rmw_service_info_t):
         header = header.request_id
     is_fastrtps = "fastrtps" in get_rmw_implementation_identifier()

@@ -151,10 +151,7 @@ def node_of(node: Node, topic: str, gid: bytes) -> str:
 
 
 def full_name(endpoint: Endpoint) -> str:
-    """Return the full name of an endpoint's node, "" if the node is not discovered yet.
-
-    Characters that are not printable are escaped.
-    """
+    """Return the printable full name of an endpoint's node, "" if it is not discovered yet."""
     if endpoint.node_name == UNKNOWN_NODE:
         return ""
     return printable(f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}")

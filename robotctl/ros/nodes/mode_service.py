@@ -57,10 +57,7 @@ refused as busy.
 
 
 class ModeService:
-    """Node `mode_service`: `set_mode` (SetMode), `estop` (Trigger), `robot_status` (RobotStatus).
-
-    Requests do not wait for each other.
-    """
+    """Node `mode_service`, with services `set_mode` and `estop` and the topic `robot_status`."""
 
     def __init__(
         self,

@@ -50,10 +50,7 @@ class Delivered:
 
 
 class LatchedMerge:
-    """A sink that passes each message on once, even if several subscriptions deliver it.
-
-    A message with sequence number 0 is always passed on.
-    """
+    """A sink that passes each message on once, or always if its sequence number is 0."""
 
     def __init__(self, sink: ViewSink) -> None:
         self._sink = sink
@@ -123,9 +120,7 @@ class TappedSubscription:
         return latched is not None or requested.durability is DurabilityPolicy.TRANSIENT_LOCAL
 
     def adapt(self, offered: Sequence[QoSProfile]) -> None:
-        """Subscribe again if the publishers' profiles `offered` require another QoS.
-
-        Messages before the new subscription has matched are lost.
+        """Subscribe again, with a loss of messages, if the profiles `offered` require another QoS.
 
         Raises:
             Exception: rclpy could not subscribe; the next call tries again.
