@@ -277,7 +277,7 @@ def _sync(path: Path) -> None:
 
 
 class DiskFile:
-    """A file with a lock while it is open. A new file is private to its owner."""
+    """A file on disk, locked while it is open. A new file is private to its owner."""
 
     def __init__(self, path: Path, *, new: bool = True) -> None:
         """Create `path` or, if not `new`, open it.

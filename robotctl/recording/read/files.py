@@ -131,8 +131,8 @@ class LocalSource:
         """Open `path`. `on_progress` gets bytes done and in total of a decompression.
 
         Raises:
-            OSError: It cannot be opened, or is not a regular file.
-            Damaged: It cannot be decompressed.
+            OSError: The file cannot be opened, or is not a regular file.
+            Damaged: The file cannot be decompressed.
         """
         self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         self._packed_bytes: int | None = None

@@ -153,7 +153,7 @@ class WholeData(FileIndex):
     """The offset of an unfinished commit, which reaches to the end of the data."""
 
     def state(self) -> FileState:
-        """Return how the file was ended. Do not call this while the file is growing."""
+        """Return the state of the file. Do not call this while the file is growing."""
         if not self.own:
             return FileState.FOREIGN
         for name, state in _STATES.items():

@@ -54,7 +54,7 @@ HEAVY_BYTES: Final = 64 << 10
 """Minimum data of other topics for a second chunk [bytes]."""
 
 HEAVY_RATIO: Final = 4
-"""Minimum ratio of other topics' data to the evidence for a second chunk."""
+"""Minimum ratio of other topics' data to evidence data for a second chunk."""
 
 assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 
