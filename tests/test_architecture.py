@@ -169,7 +169,7 @@ def test_no_folder_has_more_modules_than_one_sees_at_once() -> None:
         assert count <= LARGE_ROOMS.get(folder, MOST_MODULES), f"{folder} has {count} modules"
 
 
-CEILINGS = {"robotctl": (319, 66_123), "tests": (218, 55_025)}
+CEILINGS = {"robotctl": (319, 66_126), "tests": (218, 55_025)}
 """How many files and lines there may be."""
 
 

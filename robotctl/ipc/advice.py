@@ -40,7 +40,7 @@ CONDITIONS: Final = {
     Cause.COMMAND_TYPES_MIXED: "one type of command wanted",
     Cause.TOPIC_TROUBLE: "topics of others as expected",
 }
-"""Cause -> words for the start condition that is not met while the cause applies."""
+"""Cause -> the start condition that is violated by the cause, in words."""
 
 
 _COMMAND = re.compile(

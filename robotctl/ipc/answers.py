@@ -19,9 +19,9 @@ class DriveFigures(TypedDict, total=False):
     heading_rms_rad: float | None
     heading_max_rad: float | None
     closure_m: float | None
-    """The distance from the last complete lap's end to the path's end, None before that."""
+    """The distance between the ends of the last complete lap and of the path, None before a lap."""
     true_cross_track_rms_m: float | None
-    """`true_*` fields are of a simulated robot's true pose. None for a real robot."""
+    """The `true_*` fields use a simulated robot's true pose. None for a real robot."""
     true_cross_track_max_m: float | None
     true_heading_rms_rad: float | None
     true_heading_max_rad: float | None

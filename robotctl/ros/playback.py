@@ -282,7 +282,10 @@ class ReplaySession:
         self._clients: list[Client] = []
 
     def settle(self, quiet_s: float = QUIET_S) -> None:
-        """Wait for discovery and `quiet_s` seconds of calm, at most SETTLE_S from the join."""
+        """Wait until every process is discovered and nothing changed for `quiet_s` seconds.
+
+        The wait ends at the latest SETTLE_S after this process joined the domain.
+        """
         if not self._is_alone:
             self._discovery.wait(quiet_s, self._joined + SETTLE_S, self.stopped)
 

@@ -126,7 +126,7 @@ class Pool:
 
 
 def rested_s(rest_s: float) -> float:
-    """Return the monotonic time [s] at the end of a rest from now. A long rest ends on a beat."""
+    """Return the monotonic time [s] after a rest of `rest_s`. A long rest ends early, on a beat."""
     until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
     if rest_s * NS_PER_S > BEAT_NS:
         until_ns = beat_before(until_ns)

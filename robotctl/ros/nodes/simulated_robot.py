@@ -77,7 +77,7 @@ class SimulatedRobot:
         self._moved_ns = 0
         self._battery_due_ns = 0
         self._wall_ns = 0
-        """Wall-clock time minus steady time [ns] at the begin of `run`."""
+        """Wall-clock time minus steady time [ns] at the start of `run`."""
 
         node = session.node("simulated_robot")
         tap = RawTap(self._command, latency_s=None)

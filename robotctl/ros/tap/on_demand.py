@@ -34,7 +34,7 @@ class TopicWatcher(Protocol):
         """Add a topic with a publisher. `definition` is the ros2msg text of its type."""
 
     def vanished(self, topic: str) -> None:
-        """Remove a topic of `appeared`, as no publisher of its type is left."""
+        """Remove a topic that has no publisher of its type any more."""
 
     def unusable(self, topic: str, problem: str) -> None:
         """Report the `problem` with showing `topic`, or "" when it has ended."""

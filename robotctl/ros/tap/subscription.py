@@ -181,11 +181,11 @@ class TypeLoader:
 
     def __init__(self) -> None:
         self._problems: dict[str, str] = {}
-        """Type -> the reason against loading it, or "" if it is loaded."""
+        """Type -> the reason for a failed load, or "" if it is loaded."""
 
         self._waiting: dict[str, None] = {}
         self._loading: dict[str, float] = {}
-        """Type -> the begin of its load on the steady clock [s]."""
+        """Type -> the start of its load on the steady clock [s]."""
 
         self._all_loaded = asyncio.Event()
 

@@ -396,7 +396,7 @@ class Tap:
 
 
 def _is_abandoned(tapped: TappedSubscription) -> bool:
-    """Note the time of a lost last publisher. Return whether it is ABANDONED_S ago or more."""
+    """Note when a topic lost its last publisher. Return whether ABANDONED_S have passed since."""
     now = time.monotonic()
     if tapped.abandoned_since is None:
         tapped.abandoned_since = now
