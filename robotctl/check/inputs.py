@@ -398,7 +398,8 @@ class InputCheck:
         """Read an input of the journal, from the entry number `seq`."""
         if self._is_on:
             number = event.sequence & MAX_SEQUENCE
-            self._pairs.received(number, Input(event.t_ns, _source(event), value, seq))
+            publisher = event.source if isinstance(event, OdomReceived) else event.publisher
+            self._pairs.received(number, Input(event.t_ns, publisher, value, seq))
             if self._unheard is not None:
                 self._unheard.heard(number)
 
@@ -498,11 +499,6 @@ class InputCheck:
 _Input = (
     OdomReceived | BatteryReceived | ScanReceived | GuardedCommandReceived | SafetyInputReceived
 )
-
-
-def _source(event: _Input) -> Hashable:
-    """Return the publisher of an event's message."""
-    return event.source if isinstance(event, OdomReceived) else event.publisher
 
 
 def _value(event: _Input) -> Any:

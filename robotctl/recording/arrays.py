@@ -215,7 +215,7 @@ def _copy(
     selected = ", ".join(
         f"from_base64({name}) AS {name}" if column.kind is ValueKind.BYTES else name
         for column in columns
-        for name in [_quoted(column.name)]
+        for name in ['"' + column.name.replace('"', '""') + '"']
     )
     # With one thread the rows keep their order anyway. duckdb limits the bytes of row groups only
     # if it does not have to preserve the order.
@@ -233,10 +233,6 @@ def _sql_type(column: FieldPath) -> str:
     if column.kind is ValueKind.LIST:
         return f"{number}[]"
     return number if column.kind is ValueKind.NUMBER else "VARCHAR"
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"'
 
 
 def _text(value: object) -> str:

@@ -505,7 +505,7 @@ class Converter:
             if output.is_full(self._form.split_bytes):
                 self._finish()
                 output = self._begin(source)
-            output.write(_renumbered(messages, ids))
+            output.write([(ids[channel], *rest) for channel, *rest in messages])  # type: ignore[misc]
         for attachment in source.attachments():
             output.add_attachment(attachment)
             self.done.attachment_count += 1
@@ -545,10 +545,6 @@ class Converter:
         self._output.add_metadata([Metadata(name=CONVERSION_RECORD, metadata=about)])
         self.done.files.append(self._output.finish(self._ledger))
         self._output, self._ledger = None, []
-
-
-def _renumbered(messages: Sequence[PlainMessage], ids: dict[int, int]) -> list[PlainMessage]:
-    return [(ids[channel], *rest) for channel, *rest in messages]  # type: ignore[misc]
 
 
 MCAP_SUFFIX = ".mcap"

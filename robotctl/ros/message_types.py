@@ -51,14 +51,11 @@ def message_class(type_name: str) -> Any:
         module = import_module(getattr(module, name.interface).__module__)
         return getattr(module, name.short)
     except BaseException as error:
-        if isinstance(error, KeyboardInterrupt) and _is_ctrl_c():
+        # Only the main thread gets the KeyboardInterrupt of a Ctrl-C.
+        is_main = threading.current_thread() is threading.main_thread()
+        if isinstance(error, KeyboardInterrupt) and is_main:
             raise
         raise UnusableType(f"cannot be loaded ({type(error).__name__}: {error})") from error
-
-
-def _is_ctrl_c() -> bool:
-    """Return whether a KeyboardInterrupt may be a Ctrl-C, which only the main thread gets."""
-    return threading.current_thread() is threading.main_thread()
 
 
 # Without rclpy's default event handlers, each of which takes a file descriptor.

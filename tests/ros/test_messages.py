@@ -12,6 +12,7 @@ import inspect
 import random
 import struct
 import sys
+import threading
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -51,7 +52,6 @@ from robotctl.messages.inputs import (
     read_odometry,
 )
 from robotctl.messages.installed import InstalledType, UnusableType, installed_type
-from robotctl.ros import message_types
 from robotctl.ros.executor.decoder import decoder_of
 from robotctl.ros.message_types import message_class, type_name_of
 from robotctl.ros.playback import serialized_type
@@ -382,7 +382,7 @@ def test_what_loading_a_type_raises_is_a_reason_and_no_more(
     (package / "__init__.py").write_text(f"{text}\n")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(message_types, "_is_ctrl_c", lambda: False)
+    monkeypatch.setattr(threading, "main_thread", lambda: None)
     with pytest.raises(UnusableType, match="cannot be loaded"):
         message_class("broken_msgs/msg/Broken")
     for name in [name for name in sys.modules if name.startswith("broken_msgs")]:

@@ -70,7 +70,8 @@ def compare_with_source(clip: Path, source: Path) -> Origin:
             return origin
         origin.wrong += dict.fromkeys(_differences(cut, whole, about, origin))
         theirs = clip_messages(whole, (origin.start_ns, origin.end_ns), origin.wrong.append)
-        for mine, other in zip_longest(_all(cut, origin), theirs):
+        ours = cut.in_order_written(None, origin.wrong.append)
+        for mine, other in zip_longest(ours, theirs):
             if mine != other:
                 origin.wrong.append(_difference(mine, other))
                 return origin
@@ -169,10 +170,6 @@ def _bag_record(clip: Recording) -> Mapping[str, str]:
     counts = {at: index.counts[n] for at, n in enumerate(numbers) if n in index.counts}
     files = [BagFile(name, index.start_ns, index.end_ns, counts) for name in files_in(found)]
     return {"serialized_metadata": serialized_metadata(topics, files)}
-
-
-def _all(clip: Recording, origin: Origin) -> Iterator[Message]:
-    return clip.in_order_written(None, origin.wrong.append)
 
 
 def _difference(mine: Message | None, other: Message | None) -> str:
