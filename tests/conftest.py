@@ -7,7 +7,7 @@ import signal
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,7 +17,6 @@ from robotctl.base.domains import reserved_domain
 from robotctl.base.environment import prepare
 from tests.support.isolation import FileSurroundings, start_once
 from tests.support.stores import s3_server
-from tests.support.waiting import loop_until
 
 # The same examples in each run, and no limits on how long one takes: they depend on the machine.
 settings.register_profile(
@@ -116,9 +115,3 @@ def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     with reserved_domain() as number:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
         yield number
-
-
-@pytest.fixture
-def until() -> Callable[[Callable[[], object]], Awaitable[None]]:
-    """Wait for a condition while the loop of an asynchronous test turns."""
-    return loop_until

@@ -8,7 +8,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from fcntl import LOCK_EX, flock
 from pathlib import Path
@@ -133,8 +133,6 @@ def test_start_split_and_stop_do_not_wait_for_another_process_that_tidies(world:
 
 pytest.importorskip("duckdb", reason="indexes are an extra: robotctl[parquet]")
 
-Until = Callable[[Callable[[], object]], Awaitable[None]]
-
 
 def test_each_closed_file_and_the_closed_recording_are_indexed_beside_it(world: World) -> None:
     """The last process outlives the daemon, and ends."""
@@ -185,7 +183,7 @@ REPORT = 'import os; os.write(3, b\'{"error": "%s"}\\n\')'
     ],
 )
 async def test_a_failure_is_told_and_counted(
-    indexed: MakeIndexer, until: Until, script: str, failure: str
+    indexed: MakeIndexer, script: str, failure: str
 ) -> None:
     indexer = indexed(script)
     assert indexer.problem == ""
@@ -193,7 +191,7 @@ async def test_a_failure_is_told_and_counted(
     for times in ("once", "2 times"):
         for _ in range(2):
             indexer.file_finished()
-        await until(lambda: indexer.problem == f"indexing failed {times}: {failure}")  # noqa: B023
+        await loop_until(lambda: indexer.problem == f"indexing failed {times}: {failure}")  # noqa: B023
     running.cancel()
     await asyncio.wait({running})
 
@@ -208,7 +206,7 @@ def test_all_indexes_of_a_recording_that_goes_on_cost_three_times_the_last() -> 
 
 
 async def test_the_end_does_not_wait_and_what_goes_wrong_then_is_in_the_log(
-    indexed: MakeIndexer, until: Until, tmp_path: Path
+    indexed: MakeIndexer, tmp_path: Path
 ) -> None:
     go_on = tmp_path / "go on"
     os.mkfifo(go_on)
@@ -217,18 +215,16 @@ async def test_the_end_does_not_wait_and_what_goes_wrong_then_is_in_the_log(
     log = tmp_path / "daemon.log"
     assert log.read_text() == ""
     await asyncio.to_thread(go_on.write_text, "now")
-    await until(lambda: log.read_text() == "not indexed")
+    await loop_until(lambda: log.read_text() == "not indexed")
 
 
-async def test_a_cancelled_indexer_leaves_no_process(
-    indexed: MakeIndexer, until: Until, tmp_path: Path
-) -> None:
+async def test_a_cancelled_indexer_leaves_no_process(indexed: MakeIndexer, tmp_path: Path) -> None:
     pid = tmp_path / "pid"
     lasting = f"import os, time; open({str(pid)!r}, 'w').write(str(os.getpid())); time.sleep(600)"
     indexer = indexed(lasting)
     running = asyncio.create_task(indexer.run())
     indexer.file_finished()
-    await until(lambda: pid.exists() and pid.read_text())
+    await loop_until(lambda: pid.exists() and pid.read_text())
     running.cancel()
     await asyncio.wait({running})
     with pytest.raises(ProcessLookupError):

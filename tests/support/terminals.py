@@ -84,9 +84,6 @@ class Terminal:
         self.seen += drawn.decode(errors="replace")
         return bool(drawn)
 
-    def resize(self, rows: int, columns: int) -> None:
-        termios.tcsetwinsize(self._file, (rows, columns))
-
     def hang_up(self) -> None:
         """Close the terminal, as when its window is closed."""
         os.close(self._file)
