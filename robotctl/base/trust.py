@@ -47,7 +47,7 @@ class FolderChain:
         self._trusted = (ROOT_UID, os.getuid(), guest)
 
     def for_client(self) -> FolderChain:
-        """Return the chain for a client; it may trust the owner of `base` if `variable` is set.
+        """Return a chain that also trusts the owner of `base` if the environment sets `variable`.
 
         Root trusts any owner. Other users trust the owner of a systemd unit's runtime folder.
         """

@@ -32,7 +32,7 @@ Work = Callable[[], Coroutine[Any, Any, None]]
 class Supervisor:
     """Runs all tasks, and reports their failures as faults.
 
-    A failed task is started again; its fault lasts until a restart. Lack of memory ends the daemon.
+    A failed task starts again; its fault lasts until the daemon ends. No memory ends the daemon.
     """
 
     def __init__(self, end: Callable[[], None]) -> None:

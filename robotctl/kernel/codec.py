@@ -146,7 +146,7 @@ def finite_or_none(value: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """The number of velocity commands and the CRC-32 of the journal's entries before a snapshot."""
+    """Totals up to a snapshot: the number of velocity commands, and the CRC-32 of the journal."""
 
     commands: int
     journal_crc: int

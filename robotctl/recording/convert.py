@@ -309,7 +309,7 @@ _MAX_CHARACTERS: Final = 1 << 16
 
 
 def named_policies(profiles: str) -> str:
-    """Return a YAML list of QoS profiles with policy names for numbers, other text unchanged."""
+    """Return `profiles` with policies by name; text that is no YAML list of QoS stays unchanged."""
     if len(profiles) > _MAX_CHARACTERS:
         return profiles
     try:

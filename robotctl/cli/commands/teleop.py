@@ -82,7 +82,7 @@ class TeleopScreen:
         self.suspend()
 
     def resume(self) -> None:
-        """Draw again."""
+        """Begin to draw, at first or after `suspend`."""
         self._ended.clear()
         self._drawing = Background(self._draw)
         self._drawing.start()

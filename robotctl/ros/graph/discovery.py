@@ -94,7 +94,7 @@ class IntroductionReader:
 
 
 class IntroductionWriter:
-    """Announces this process again, to find out whether all other processes know our endpoints."""
+    """Repeats this process's introduction: who acknowledges it knows all our earlier publishers."""
 
     def __init__(self, node: Node) -> None:
         """Create the writer on `node`, after all publishers that others must know.

@@ -71,14 +71,14 @@ def gate(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Decide every recording again with this robotctl, before it drives.
+    """Decide every recording again with this robotctl, before this robotctl drives a robot.
 
-    Each recording is checked as by `replay --check`, in a process per processor. Results are
-    kept: a second run judges only recordings that are new, or all after robotctl has changed.
-    With --what-if, modes and answers with other parameters are compared with the recorded ones.
-    The exit code is 7 if a recording is decided differently or broken, or other parameters change
-    modes or answers; 6 if one cannot be judged completely; 4 if there are none. A recording that is
-    being written is left out.
+    Each recording is checked as by `replay --check`, several at a time. A result is kept until
+    the recording, robotctl or --what-if changes. --what-if also compares the modes and the
+    replies under other parameters with the recorded ones. The exit code is 7 if a recording is
+    broken or decided differently, or if other parameters change modes or replies; 6 if one
+    cannot be judged completely; 4 if there are none. A recording that is being written is left
+    out.
 
     \b
     Examples:
