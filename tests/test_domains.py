@@ -118,7 +118,7 @@ def test_a_range_that_ros_does_not_know_is_this_machine_as_in_ros(
 def test_a_participant_that_the_system_leaves_out_of_one_look_is_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    looks = iter(["sl local_address\n", "sl local_address\n1: 0100007F:1CF2 0:0 07\n"])
+    looks = iter([*["sl local_address\n"] * 3, "sl local_address\n1: 0100007F:1CF2 0:0 07\n"])
     monkeypatch.setattr(domains, "_TABLES", ("/proc/net/udp",))
     monkeypatch.setattr("pathlib.Path.read_text", lambda _: next(looks))
     assert participants_here(0) == 1

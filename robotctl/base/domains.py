@@ -129,8 +129,8 @@ def _bound_udp_ports() -> set[int] | None:
     """Return the UDP ports that are bound on this machine, or None without /proc."""
     ports: set[int] | None = None
     # Linux returns a table page by page: if a socket is closed between two pages, another one may
-    # be missing (in 1 of 80 reads on a busy machine).
-    for table in 2 * _TABLES:
+    # be missing (in 1 of 80 reads on a busy machine). Discovery looks some 50 times.
+    for table in 4 * _TABLES:
         try:
             lines = Path(table).read_text().splitlines()[1:]
         except OSError:  # no IPv6, or no /proc

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -98,15 +99,6 @@ NO_INDEX = ("--ros-args", "-p", "recording.index:=false")
 """Arguments that a `start` with another configuration gets, so that it makes no index."""
 
 INDEXING = "robotctl.collection.indexing:index_job"
-
-
-def has_ended(pid: int) -> bool:
-    """Return whether a process is gone, or a zombie: only then its sockets are closed."""
-    try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return True
-    return state in "ZX"
 
 
 class Peer(Told):
@@ -269,9 +261,10 @@ class World:
         for each in Path(f"/proc/{pid}/fd").iterdir():
             with suppress(OSError):  # closed meanwhile
                 own.add(os.readlink(each))
-        with suppress(ProcessLookupError):
+        with suppress(ProcessLookupError), os.fdopen(os.pidfd_open(pid)) as process:
             os.kill(pid, number)
-        until(lambda: has_ended(pid))
+            # It is readable when all threads have ended, and with them their sockets.
+            assert select.select([process], [], [], DEADLINE_S)[0], "it has not ended"
         for name in own:
             if re.fullmatch(rf"{SHARED_MEMORY}/fastrtps_[0-9a-f]+_el", name):  # locked by its owner
                 for path in SHARED_MEMORY.glob(f"{Path(name).name.removesuffix('_el')}*"):
