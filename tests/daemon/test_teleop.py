@@ -175,7 +175,7 @@ def until_fast(world: World, press: Callable[[], object]) -> None:
     def is_fast() -> bool:
         nonlocal pressed_s
         status = world.status()
-        if status["mode"] != "MOVING" and time.monotonic() - pressed_s > 0.5:
+        if status["mode"] != "MOVING" and time.monotonic() - pressed_s > 0.8:
             pressed_s = time.monotonic()
             press()
         return bool(status["velocity"]["linear"] > 0.1)
@@ -189,7 +189,7 @@ def repeating(terminal: Terminal, keys: str) -> Iterator[Callable[[], None]]:
     ended, rests = threading.Event(), threading.Event()
 
     def send() -> None:
-        while not ended.wait(0.25 if rests.is_set() else 0.03):
+        while not ended.wait(0.4 if rests.is_set() else 0.03):
             rests.clear()
             terminal.press(keys)
 
