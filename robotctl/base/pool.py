@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
@@ -108,6 +109,8 @@ def local_processes(jobs: int) -> Iterator[Executor]:
             initializer=_begin_process,
         )
     except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            raise
         cause = f"/dev/shm, which several processes need, fails: {error.strerror}"
         cure = "make it writable, or give one recording at a time"
         raise RobotctlError(cause, cure, sentence=IN_PARENTHESES) from None

@@ -12,6 +12,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -124,13 +125,22 @@ def test_a_kill_loses_no_other_result(tmp_path: Path, deadly: str, result: str |
     )
 
 
-def test_without_shared_memory_a_sentence_names_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*arguments: object, **options: object) -> None:
-        raise OSError(errno.EROFS, "Read-only file system")
+def fail_with(number: int, *arguments: object, **options: object) -> None:
+    raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(pool, "ProcessPoolExecutor", fail)
+
+def test_without_shared_memory_a_sentence_names_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "ProcessPoolExecutor", partial(fail_with, errno.EROFS))
     with pytest.raises(RobotctlError, match=r"/dev/shm.*: Read-only file system \(make it"):
         list(results_of(die_at, [Path("one"), Path("two")], local_processes))
+
+
+def test_too_few_open_files_are_not_blamed_on_shared_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(pool, "ProcessPoolExecutor", partial(fail_with, errno.EMFILE))
+    with pytest.raises(OSError, match="Too many open files"), local_processes(2):
+        pass
 
 
 def test_an_unreadable_recording_is_unknown(recordings: Path) -> None:
