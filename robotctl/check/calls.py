@@ -147,9 +147,9 @@ class Call:
         )
 
 
-def _fits(asked: Asked, call: Call, clock: ClockChanges) -> bool:
+def _fits(asked: Asked, call: Call, least_ns: int, clock: ClockChanges) -> bool:
     steady_ns, begin_ns, end_ns = asked.moments
-    return asked.requested == call.requested and (
+    return (asked.requested == call.requested and begin_ns >= least_ns) and (
         begin_ns - LATE_NS <= call.publish_ns <= end_ns + LATE_NS or clock.is_near(steady_ns)
     )
 
@@ -303,8 +303,9 @@ class ServiceCheck:
             ahead = range(first, min(first + MAX_AHEAD, len(self._asked)))
             # A clip and a later file lack the calls of the first requests, which calls precede.
             least_ns = call.publish_ns if is_part and not self._clock.note else 0
-            later = (at for at in ahead if self._asked[at].moments[1] >= least_ns)
-            at = next((at for at in later if _fits(self._asked[at], call, self._clock)), None)
+            at = next(
+                (at for at in ahead if _fits(self._asked[at], call, least_ns, self._clock)), None
+            )
             if at is None:
                 unasked.append(call)
                 continue

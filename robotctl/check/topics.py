@@ -118,7 +118,7 @@ class RepeatedLatched:
     def __init__(self, info: RecordingInfo) -> None:
         self._files = len(info.files)
         self._snapshots = 0
-        self._seen: dict[Message, tuple[int, int]] = {}
+        self._seen: dict[int, tuple[int, int]] = {}
         """Message -> its last log time, number of its repeats at that time; the newest last."""
 
         self._repeats: set[tuple[int, int]] = set()
@@ -126,7 +126,7 @@ class RepeatedLatched:
 
     def observe(self, message: Message) -> bool:
         """Observe a message; return whether it equals an earlier one, except in log time."""
-        key = message._replace(log_ns=0)
+        key = hash(message._replace(log_ns=0))  # a message may be large
         before_ns, count = self._seen.pop(key, (-1, -1))
         is_again = before_ns >= 0
         count = count + 1 if before_ns == message.log_ns else int(is_again)

@@ -7,7 +7,7 @@ import hashlib
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import FileIO
@@ -230,6 +230,11 @@ def _is_copied(key: str) -> bool:
     return len(parts) <= _DEPTH and (derived or key.endswith(SUFFIX))
 
 
+def is_one_recording(place: Path) -> bool:
+    """Return whether `place` is a recording, or another file, and no folder of recordings."""
+    return not place.is_dir() or (place / METADATA_FILE).is_file()
+
+
 def local_recordings(place: Path, now_ns: int) -> list[OfferedRecording]:
     """Return the recordings in the folder `place`, sorted, or `place` if that is a recording.
 
@@ -238,8 +243,7 @@ def local_recordings(place: Path, now_ns: int) -> list[OfferedRecording]:
     Raises:
         OSError: The folder cannot be listed.
     """
-    is_one = not place.is_dir() or (place / METADATA_FILE).is_file()
-    paths: Iterable[Path] = [place.absolute()] if is_one else sorted(place.iterdir())
+    paths = [place.absolute()] if is_one_recording(place) else sorted(place.iterdir())
     found = [_recording(path, now_ns) for path in paths]
     return [each for each in found if each.files or each.live or each.left_out]
 

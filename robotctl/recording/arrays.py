@@ -211,19 +211,19 @@ def _copy(
     target: Path,
 ) -> None:
     """Copy the `lines` of JSON, each of at most `longest` bytes, into the Parquet file `target`."""
-    types = ", ".join(f"{_text(column.name)}: {_text(_sql_type(column))}" for column in columns)
+    types = ", ".join(f"{_quoted(column.name)}: {_quoted(_sql_type(column))}" for column in columns)
     selected = ", ".join(
         f"from_base64({name}) AS {name}" if column.kind is ValueKind.BYTES else name
         for column in columns
-        for name in ['"' + column.name.replace('"', '""') + '"']
+        for name in [_quoted(column.name, '"')]
     )
     # With one thread the rows keep their order anyway. duckdb limits the bytes of row groups only
     # if it does not have to preserve the order.
     database.execute(f"SET threads=1; SET memory_limit='{_MEMORY_LIMIT}'")
     database.execute("SET preserve_insertion_order=false")
     database.execute(
-        f"COPY (SELECT {selected} FROM read_json({_text(lines)}, format='newline_delimited', "
-        f"columns={{{types}}}, maximum_object_size={longest})) TO {_text(target)} "
+        f"COPY (SELECT {selected} FROM read_json({_quoted(lines)}, format='newline_delimited', "
+        f"columns={{{types}}}, maximum_object_size={longest})) TO {_quoted(target)} "
         f"(FORMAT parquet, ROW_GROUP_SIZE_BYTES '{_GROUP_BYTES}')"
     )
 
@@ -235,5 +235,5 @@ def _sql_type(column: FieldPath) -> str:
     return number if column.kind is ValueKind.NUMBER else "VARCHAR"
 
 
-def _text(value: object) -> str:
-    return "'" + str(value).replace("'", "''") + "'"
+def _quoted(value: object, quote: str = "'") -> str:
+    return quote + str(value).replace(quote, 2 * quote) + quote

@@ -52,8 +52,10 @@ def message_class(type_name: str) -> Any:
         return getattr(module, name.short)
     except BaseException as error:
         # Only the main thread gets the KeyboardInterrupt of a Ctrl-C.
-        is_main = threading.current_thread() is threading.main_thread()
-        if isinstance(error, KeyboardInterrupt) and is_main:
+        if (
+            isinstance(error, KeyboardInterrupt)
+            and threading.current_thread() is threading.main_thread()
+        ):
             raise
         raise UnusableType(f"cannot be loaded ({type(error).__name__}: {error})") from error
 

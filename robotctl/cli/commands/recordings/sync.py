@@ -97,9 +97,9 @@ def sync(
     """
     from robotctl.base.store import open_store
     from robotctl.base.store.objects import is_url
+    from robotctl.collection.sources import is_one_recording
     from robotctl.collection.sync import Pruned, copy_recordings, prune
     from robotctl.kernel.constants import DAY_S, NS_PER_S
-    from robotctl.recording.format.rosbag2 import METADATA_FILE
     from robotctl.recording.keep.retention import RetentionPolicy
 
     source, target = _ends(places, folder, robot)
@@ -108,8 +108,7 @@ def sync(
         None if max_age_days is None else max_age_days * DAY_S,
     )
     removes = policy != RetentionPolicy(None, None)
-    here = Path(source)
-    if removes and (is_url(source) or not here.is_dir() or (here / METADATA_FILE).is_file()):
+    if removes and (is_url(source) or is_one_recording(Path(source))):
         raise UsageError(f"nothing can be removed from {source}", "give a folder of recordings")
     store = open_store(target)
     pruned = Pruned()
