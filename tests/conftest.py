@@ -48,13 +48,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mix the folders: while the files of one wait for their daemons, those of another compute."""
+    """Mix the folders: the files of one wait for daemons while others compute, and run last."""
     folders = Counter(path.parent for path in {item.path for item in items})
     seen, place = Counter[Path](), dict[Path, float]()
     for item in items:
         folder = item.path.parent
         if item.path not in place:
-            place[item.path] = (seen[folder] + 0.5) / folders[folder]
+            share = 0.9 if folder.name in ("daemon", "replay") else 1.0
+            place[item.path] = share * (seen[folder] + 0.5) / folders[folder]
             seen[folder] += 1
     items.sort(key=lambda item: place[item.path])
 

@@ -250,6 +250,7 @@ class Replay:
         self._ros = ros
         self._emit = emit
         self._stopped = ros.stopped
+        self._over = threading.Event()  # set by `stop`, and by the end of the player's thread
         self._report = ReplayReport(emit)
         self._controlling = threading.Lock()
         self._player: Player | None = None
@@ -259,6 +260,7 @@ class Replay:
     def stop(self) -> None:
         """End the replay early, with `interrupted` true in its summary."""
         self._stopped.set()
+        self._over.set()
 
     def control(self, command: Command) -> None:
         """Carry out a command now or, without a player yet, as soon as it is created."""
@@ -383,6 +385,8 @@ class Replay:
                 player.run()
             except BaseException as failure:  # noqa: BLE001 - raised again in the main thread
                 failures.append(failure)
+            finally:
+                self._over.set()
 
         gc.freeze()  # a full collection would delay a message
         if self._stopped.is_set():  # stopped while waiting for subscribers
@@ -391,7 +395,9 @@ class Replay:
         thread.start()
         guard_at = time.monotonic() + GUARD_S
         try:
-            while thread.is_alive() and not self._stopped.wait(PROGRESS_S):
+            over = False
+            while not over:
+                over = self._over.wait(PROGRESS_S)
                 message = progress(player, ahead, time.monotonic_ns())
                 self._emit({"progress": message})
                 behind = behind + 1 if message["behind"] else 0

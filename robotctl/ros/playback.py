@@ -289,26 +289,24 @@ class ReplaySession:
         if not self._is_alone:
             self._discovery.wait(quiet_s, self._joined + SETTLE_S, self.stopped)
 
-    def count_subscribers(self, topic: str) -> int:
-        """Return the number of subscriptions to the topic in the domain."""
-        return int(self._node.count_subscribers(topic))
-
-    def count_servers(self, service: str) -> int:
-        """Return the number of servers of the service in the domain."""
-        return int(self._node.count_services(service))
-
     def publishers_of(self, topic: str) -> list[str]:
         """Return the full names of the other nodes that publish on the topic."""
         return sorted(
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            endpoints.shown_name(info)
             for info in endpoints.publishers(self._node, topic)
             if info.node_name != self._node.get_name()
         )
 
     def robots_with_daemon(self) -> list[str]:
         """Return the names of the robots that have a daemon, of any user, in this domain."""
+        # A node that is not discovered yet is in the namespace of its topic robotctl/journal.
         return sorted(
-            info.node_namespace.strip("/") or "robot"
+            (
+                topic.rsplit("/", 2)[0]
+                if info.node_name == endpoints.UNKNOWN_NODE
+                else info.node_namespace
+            ).strip("/")
+            or "robot"
             for topic, types in endpoints.topics(self._node).items()
             if JOURNAL_ENTRY in types
             for info in endpoints.publishers(self._node, topic)
@@ -378,16 +376,13 @@ class ReplaySession:
         send = sender(self._node.create_publisher(clock, topic, qos))
         return lambda time_ns: send(_CLOCK.pack(ENCAPSULATION, *divmod(time_ns, NS_PER_S)))
 
-    def count_matched(self) -> int:
-        """Return the number of subscriptions that match our publishers, over all topics."""
-        return sum(publisher.get_subscription_count() for publisher in self._publishers)
-
     def wait_for_subscribers(self, expected: int, tell: Callable[[int], object]) -> None:
         """Wait until `expected` subscriptions have matched, and call `tell` with each new count."""
         matched = -1
         while not self.stopped.wait(_POLL_S):
-            if self.count_matched() != matched:
-                matched = self.count_matched()
+            now = sum(publisher.get_subscription_count() for publisher in self._publishers)
+            if now != matched:
+                matched = now
                 tell(matched)
             if matched >= expected:
                 self._is_alone = False
@@ -422,10 +417,10 @@ class ReplaySession:
 
     def _all_matched(self) -> bool:
         return all(
-            publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
+            publisher.get_subscription_count() >= self._node.count_subscribers(publisher.topic_name)
             for publisher in self._publishers
         ) and all(
-            client.service_is_ready() or not self.count_servers(client.service_name)
+            client.service_is_ready() or not self._node.count_services(client.service_name)
             for client in self._clients
         )
 

@@ -15,12 +15,11 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 
 from robotctl.base.domains import wider_discovery
-from robotctl.base.text import short_name
 from robotctl.kernel.types import ZERO
 from robotctl.kernel.types import Twist as Velocity
 from robotctl.ros.executables.process import LOGGER_SERVICES, run_node
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.endpoints import TOOL_NODES, full_name, gid_of
+from robotctl.ros.graph.endpoints import TOOL_NODES, gid_of, shown_name
 from robotctl.ros.message_types import PLAIN
 from robotctl.ros.nodes.velocity_publisher import (
     MONITORS,
@@ -102,7 +101,7 @@ class VelocityPublisher(Node):
         topic = self._topic
         for each in endpoints.subscriptions(self, topic):
             if each.node_name not in OWN_LISTENERS and not each.node_name.startswith(TOOL_NODES):
-                return f"{_name(each)} takes {topic} and may be a robot"
+                return f"{shown_name(each)} takes {topic} and may be a robot"
         wider = wider_discovery()
         return f"discovery reaches beyond this machine ({wider})" if wider else ""
 
@@ -135,7 +134,7 @@ class VelocityPublisher(Node):
         if self.count_publishers(self._topic) > 1:
             for each in endpoints.publishers(self, self._topic):
                 if each.gid != self._own_gid:
-                    return f"{_name(each)} publishes {self._topic} too"
+                    return f"{shown_name(each)} publishes {self._topic} too"
         return ""
 
     def _step(self) -> None:
@@ -167,10 +166,6 @@ class VelocityPublisher(Node):
             self._said = why
             if why:
                 self.get_logger().warning(why)
-
-
-def _name(endpoint: endpoints.Endpoint) -> str:
-    return short_name(full_name(endpoint)) or "a node whose name is not known yet"
 
 
 def main() -> int:

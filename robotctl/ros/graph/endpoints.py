@@ -15,7 +15,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from robotctl.base.text import printable
+from robotctl.base.text import printable, short_name
 from robotctl.ros import qos
 from robotctl.ros.graph import rcl_graph
 from robotctl.ros.graph.rcl_graph import Endpoint as Endpoint
@@ -155,6 +155,11 @@ def full_name(endpoint: Endpoint) -> str:
     if endpoint.node_name == UNKNOWN_NODE:
         return ""
     return printable(f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}")
+
+
+def shown_name(endpoint: Endpoint) -> str:
+    """Return the full name of an endpoint's node for a message, cut to MAX_NAME characters."""
+    return short_name(full_name(endpoint)) or "a node whose name is not known yet"
 
 
 MAX_NAMES = 5000

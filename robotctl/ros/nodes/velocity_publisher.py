@@ -13,7 +13,7 @@ from robotctl.kernel.types import ZERO, Twist
 from robotctl.ros import qos
 from robotctl.ros.executor import RawTap
 from robotctl.ros.graph import endpoints
-from robotctl.ros.graph.endpoints import TOOL_NODES, full_name, gid_of, node_of
+from robotctl.ros.graph.endpoints import TOOL_NODES, gid_of, node_of, shown_name
 from robotctl.ros.message_types import PLAIN, CommandType, OwnTopic, subscribe_raw
 from robotctl.ros.session import RECORDER_NODE, Session
 
@@ -177,8 +177,8 @@ class VelocityPublisher:
 
 def named_nodes(found: Iterable[endpoints.Endpoint]) -> tuple[str, ...]:
     """Return the sorted full names of the endpoints' nodes, with "N more" after MAX_NAMED."""
-    names = sorted(short_name(full_name(each)) for each in found)
-    named = [name or "a node whose name is not known yet" for name in names[:MAX_NAMED]]
+    names = sorted(shown_name(each) for each in found)
+    named = names[:MAX_NAMED]
     if len(names) > MAX_NAMED:
         named.append(f"{len(names) - MAX_NAMED} more")
     return tuple(named)
