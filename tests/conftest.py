@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -27,6 +28,8 @@ settings.load_profile("suite")
 # What the tests start would compile all of robotctl again each time.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+gc.disable()  # imports make no garbage
 
 _notes: list[str] = []
 _file_surroundings = FileSurroundings()
@@ -58,6 +61,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             place[item.path] = share * (seen[folder] + 0.5) / folders[folder]
             seen[folder] += 1
     items.sort(key=lambda item: place[item.path])
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was imported out of each later search for garbage."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_report_header() -> list[str]:

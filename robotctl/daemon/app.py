@@ -241,7 +241,6 @@ async def serve(
         except BaseException:
             await daemon.recorder.discard()
             raise
-        gc.collect()
         gc.freeze()  # a full collection over all imported objects would block the loop for 70 ms
         gc.enable()  # `__main__` has disabled it
 
