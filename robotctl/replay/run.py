@@ -394,8 +394,8 @@ class Replay:
         thread = threading.Thread(target=run, name="player", daemon=True)
         thread.start()
         guard_at = time.monotonic() + GUARD_S
+        over = False
         try:
-            over = False
             while not over:
                 over = self._over.wait(PROGRESS_S)
                 message = progress(player, ahead, time.monotonic_ns())
@@ -408,10 +408,10 @@ class Replay:
                     guard.check()
                     guard_at = time.monotonic() + GUARD_S
         finally:
-            if thread.is_alive():
+            if not over or self._stopped.is_set():
                 player.stop()
                 ahead.close()
                 self._stopped.set()
-                thread.join(JOIN_S)
+            thread.join(JOIN_S)
         if failures:
             raise failures[0]

@@ -299,7 +299,6 @@ class ReplaySession:
 
     def robots_with_daemon(self) -> list[str]:
         """Return the names of the robots that have a daemon, of any user, in this domain."""
-        # A node that is not discovered yet is in the namespace of its topic robotctl/journal.
         return sorted(
             (
                 topic.rsplit("/", 2)[0]

@@ -1,7 +1,4 @@
-"""Parameters and log levels of a daemon: listed, read, changed and refused, each change told.
-
-By commands and by ROS services; a change of a parameter is the kernel's decision.
-"""
+"""Parameters and log levels of a daemon: listed, read, changed and refused, each change told."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
 """Kernel values survive JSON bit for bit; any other text is a ValueError.
 
-What is written as a number in JSON is one.
-The units of time are those of the standard library.
 The values of the kernel are immutable: a State is replaced as a whole.
 """
 

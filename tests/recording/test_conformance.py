@@ -203,10 +203,7 @@ def test_every_variant_is_read_whole(tmp_path: Path, content: str, indexed: bool
 
 
 def mixed_up(path: Path, *, attachments: int = 0) -> Path:
-    """Return a complete file with messages, metadata and attachments between its chunks.
-
-    The summary lists the chunks, and counts everything.
-    """
+    """Return a complete file with messages, metadata and attachments between its chunks."""
     parts = [
         CHANNEL,
         chunk(message(1)),
