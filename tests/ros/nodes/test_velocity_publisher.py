@@ -77,7 +77,7 @@ async def test_a_command_is_acknowledged_once_each_reliable_subscriber_has_it(
     await until(velocity._publisher.get_subscription_count)
     await until(velocity.is_acknowledged)
     os.kill(pid, signal.SIGSTOP)
-    os.waitid(os.P_PID, pid, os.WSTOPPED)
+    os.waitid(os.P_PID, pid, os.WSTOPPED)  # noqa: ASYNC222 - for a moment
     try:
         velocity.publish(Twist(0.0, 0.0))
         assert not velocity.is_acknowledged()
