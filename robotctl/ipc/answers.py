@@ -63,7 +63,7 @@ class DriveAnswer(ModeAnswer, DriveFigures):
 
 
 class HoldAnswer(ModeAnswer):
-    """The answer of `hold`. After the first request, `message` is the reason for the mode."""
+    """The answer of `hold`. From the second request on, `message` is why the mode last changed."""
 
     hold: int
     """The number of the held motion, for the next request, or 0 if the motion has ended."""
@@ -152,7 +152,7 @@ class RecordingFacts(TypedDict):
 
 
 class RecordStatus(RecordingFacts):
-    """The answer of `record_status`."""
+    """The answer of `record_status`: topics, recorder, and warnings about the recording."""
 
     warnings: list[str]
 
@@ -206,7 +206,7 @@ class StartSummary(TypedDict):
 
 
 class LeaseKept(TypedDict):
-    """The answer of `lease_keep`."""
+    """The answer of `lease_keep`, the request with which a client keeps its lease."""
 
     yours: bool
     """Whether the token in the request is that of the lease."""
@@ -220,7 +220,7 @@ class LeaseStatus(LeaseKept):
 
 
 class Committed(TypedDict):
-    """The answer of `record_commit`."""
+    """The answer of `record_commit`: whether the file has all messages received before it."""
 
     file: str
     uncommitted: int
@@ -230,14 +230,14 @@ class Committed(TypedDict):
 
 
 class FileSplit(MessageAnswer):
-    """The answer of `record_split`."""
+    """The answer of `record_split`: the finished file, and the file that follows it."""
 
     finished: str
     file: str
 
 
 class Marked(MessageAnswer):
-    """The answer of `mark`."""
+    """The answer of `mark`: the text of the mark, and its time in the recording."""
 
     text: str
     time_ns: int
@@ -258,13 +258,13 @@ class ParameterAnswer(TypedDict):
 
 
 class ParameterList(TypedDict):
-    """The answer of `param_list`."""
+    """The answer of `param_list`: all parameters of the configuration."""
 
     parameters: list[ParameterAnswer]
 
 
 class ParameterSet(MessageAnswer):
-    """The answer of `param_set`."""
+    """The answer of `param_set`: the parameter's key, its old value and its new value."""
 
     key: str
     old: bool | int | float | str | list[str]

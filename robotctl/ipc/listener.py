@@ -190,8 +190,8 @@ class Listener:
     async def accept(self, make_room: Callable[[], bool]) -> socket.socket:
         """Wait for the next client and return its socket.
 
-        If no descriptor is free, not even the reserved one, `make_room` is called, which returns
-        whether it closed a connection.
+        If no descriptor is free, the reserved one is closed. If that is gone, too, `make_room` is
+        called: it closes a connection if it can, and returns whether it did.
         """
         self._keep_spare()
         while True:

@@ -29,12 +29,12 @@ Check = Callable[[Health, KernelParams, int], str]
 
 
 def healthy(health: Health, params: KernelParams, t_ns: int) -> str:
-    """Return "", for causes that only an event or a request raises."""
+    """Return "", as the check of a cause that is not measured: an event or a request raises it."""
     return ""
 
 
 def reported(cause: Cause) -> Check:
-    """Return the check for `cause` among the faults of the daemon's reports."""
+    """Return the check that gives a sentence while the daemon reports the failure `cause`."""
 
     def check(health: Health, params: KernelParams, t_ns: int) -> str:
         for reported, detail in health.reported:

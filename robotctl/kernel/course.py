@@ -46,7 +46,7 @@ class Held:
     quiet_s: float = 0.0
 
     def refusal(self) -> str:
-        """Return the reason against commanding this velocity, "" if there is none."""
+        """Return why this velocity is not allowed, or "" if it is allowed."""
         if not (isfinite(self.linear_mps) and isfinite(self.angular_rps)):
             return f"a velocity of {self.linear_mps:g} m/s, {self.angular_rps:g} rad/s: use numbers"
         if not MIN_HELD_S <= self.for_s <= MAX_HELD_S:
@@ -58,7 +58,7 @@ class Held:
         return ""
 
     def begun(self, t_ns: int) -> Held:
-        """Return the velocity of a drive that begins at `t_ns` (steady)."""
+        """Return this velocity. If it is hold-to-run, its client counts as heard at `t_ns`."""
         return replace(self, heard_t_ns=t_ns) if self.is_held_to_run else self
 
     @property
@@ -101,7 +101,7 @@ class Course:
     held: Held | None = None
 
     def refusal(self) -> str:
-        """Return the reason against driving these options, "" if there is none."""
+        """Return why these options are not allowed, or "" if they are allowed."""
         corner_m, angle_rad = self.corner_m, self.angle_rad
         if self.held is not None:
             return self.held.refusal()

@@ -28,14 +28,14 @@ ARRIVED = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """The place and the motion of the reference on its path.
+    """The place and the motion of the reference, the point on the path that the robot follows.
 
-    Lengths are in m, in a turn in rad, with a held velocity in s. Speeds are per second.
+    Lengths are in m; those of a turn in rad, of a held velocity in s. Speeds are per second.
 
     - `laps`, `segment`, `length`: complete laps, index of the segment, length in it.
     - `speed`, `accel`: the speed and the acceleration of the reference.
-    - `ahead`, `lead_speed`: the distance of the lead from the reference; the speed of the lead.
-    - `rates`: the speeds of the lead in the last ticks.
+    - `ahead`, `lead_speed`: how far the lead, which follows the speed plan, is ahead; its speed.
+    - `rates`: the speeds of the lead in the last ticks. The reference moves at their mean.
     - `settling_s`: the time that the reference has waited at a stop.
     - `closure_m`: the robot's distance from the path's end when the last lap ended, or NaN.
     """
@@ -55,7 +55,7 @@ class Progress:
 def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns: bool) -> Progress:
     """Return the first progress of a drive that begins at `speed` [m/s].
 
-    The speed is 0 instead if the first leg is a turn (`turns`) or too short for the lead.
+    It begins at 0 instead if its first segment is a turn (`turns`) or too short for that speed.
     """
     ahead = 0.5 * speed * dt_s * (ticks - 1)
     if turns or speed <= 0.0 or legs[0].length <= ahead:
@@ -66,9 +66,9 @@ def begun(speed: float, ticks: int, dt_s: float, legs: tuple[Leg, ...], *, turns
 def advanced(
     at: Progress, legs: tuple[Leg, ...], laps: int, dt_s: float, ticks: int
 ) -> tuple[Progress, bool]:
-    """Return the progress after `dt_s`, and whether the reference stands at a stop now.
+    """Return the progress `dt_s` later, and whether the reference has reached a stop by then.
 
-    `laps` is the number of laps to drive, 0 for no end. Accelerations build up over `ticks` ticks.
+    `laps` is the number of laps to drive, 0 for no end. Speeds are averaged over `ticks` ticks.
     """
     # The place of the lead.
     index, lap, lead, ahead = at.segment, at.laps, at.length + at.ahead, at.ahead
@@ -149,9 +149,9 @@ class Score:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive of `laps` laps (0: no end) that began at `begin_t_ns` (steady).
+    """A drive of `laps` laps (0: until stopped) that began at the steady time `begin_t_ns`.
 
-    Its path begins at `origin` in the odom frame, with the heading of the robot's rear in reverse.
+    The present lap begins at `origin` in the odom frame. In reverse, `origin` is turned by pi.
     """
 
     request_id: int
@@ -175,7 +175,7 @@ class Drive:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether the time without commands, `Held.quiet_s`, has begun."""
+        """Whether a held velocity is over, and the time without commands (`quiet_s`) has begun."""
         held = self.course.held
         return held is not None and held.quiet_s > 0.0 and self.progress.length >= held.for_s
 
@@ -189,7 +189,7 @@ class Drive:
         return f"drive finished: {self.laps} lap{'' if self.laps == 1 else 's'}"
 
     def reference(self, lag_s: float = 0.0) -> Reference:
-        """Return the reference's pose now, in the odom frame, and its motion `lag_s` later."""
+        """Return the wanted pose now, in the odom frame, and the wanted motion `lag_s` later."""
         at, segments = self.progress, self.path.segments
         if not segments:
             return Reference(self.origin, 0.0, 0.0, 0.0)
@@ -249,7 +249,7 @@ class Drive:
         return self._at(place)
 
     def measured(self, pose: Pose, moved_m: float) -> Drive:
-        """Return the drive with a move of `moved_m` to `pose` in its score."""
+        """Return the drive with an odometry sample in its score: a move by `moved_m` to `pose`."""
         return changed(self, score=self.score_after(self.score, pose, moved_m))
 
     def score_after(self, so_far: Score, pose: Pose, moved_m: float) -> Score:
@@ -297,7 +297,7 @@ class Drive:
         )
 
     def held_again(self, twist: Twist, t_ns: int) -> Drive:
-        """Return the drive after its hold-to-run client asked for `twist` at `t_ns`."""
+        """Return the drive with the velocity that its hold-to-run client requested at `t_ns`."""
         assert self.course.held is not None
         held = Held(twist.linear, twist.angular, self.course.held.for_s, t_ns)
         return replace(self, course=replace(self.course, held=held))
@@ -340,5 +340,5 @@ class Drive:
 
 
 def origin_of(pose: Pose, course: Course) -> Pose:
-    """Return the origin of a drive from `pose`, turned by pi in reverse."""
+    """Return where the path of a drive from `pose` begins: at `pose`, turned by pi in reverse."""
     return pose.compose(_TURNED) if course.reverse else pose

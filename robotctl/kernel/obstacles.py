@@ -22,7 +22,7 @@ STANDING_MPS = 1e-3
 
 
 def look_ahead(t_ns: int, sectors: tuple[float, ...], command: Twist, params: KernelParams) -> Scan:
-    """Return a Scan of `sectors` with the distance to the nearest obstacle in `command`'s path."""
+    """Return `sectors` as a Scan, with the distance to the nearest obstacle in `command`'s path."""
     ahead_m = distance_ahead(sectors, command, params.scan, _reach_m(command.linear, params))
     return Scan(t_ns, sectors, min(sectors, default=inf), ahead_m)
 
@@ -61,13 +61,13 @@ def distance_ahead(
 
 @lru_cache(maxsize=2)
 def free_beside_m(sectors: tuple[float, ...], params: ScanParams, reach_m: float) -> float:
-    """Return the smallest |y| [m] of the obstacles within `reach_m` along any path, inf if none."""
+    """Return the smallest lateral distance |y| [m] of obstacles in reach, or inf if none is."""
     points = _points(sectors, params, farthest_m(params, reach_m))
     return min([abs(y) for _, y in points], default=inf)
 
 
 def is_free(free_m: float, command: Twist, params: ScanParams, reach_m: float) -> bool:
-    """Return whether no obstacle with |y| >= `free_m` can be in the path of `command`."""
+    """Return whether `command` meets no obstacle if each is at least `free_m` to the side."""
     return _side_m(command, params, reach_m) < free_m
 
 
@@ -107,7 +107,7 @@ def _rays(count: int, yaw_rad: float) -> tuple[tuple[tuple[float, float], ...], 
 
 
 def farthest_m(params: ScanParams, reach_m: float) -> float:
-    """Return the largest range [m] of an obstacle that is `reach_m` ahead on any path."""
+    """Return the range [m] beyond which no scanned obstacle is within `reach_m` along any path."""
     size_m = params.half_length_m + params.half_width_m
     return reach_m + size_m + abs(params.x_m) + abs(params.y_m)
 

@@ -15,7 +15,7 @@ _WITH_TOPIC = ("command", "odometry", "battery")
 
 
 class Leaf(NamedTuple):
-    """A parameter by the names of the attributes that lead to it."""
+    """A parameter: its attribute path, such as ("limits", "linear_mps"), and its declaration."""
 
     path: tuple[str, ...]
     declared: Field[Any]

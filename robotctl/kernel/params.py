@@ -67,7 +67,7 @@ class OdometryQos(Enum):
 
 
 class WhenIdle(Enum):
-    """The commands in IDLE; SILENT sends zeros for one second, then nothing."""
+    """What is sent in IDLE: zero commands; or, if SILENT, zeros for one second and then nothing."""
 
     ZEROS = "zeros"
     SILENT = "silent"

@@ -51,11 +51,11 @@ class Turn:
     top_curvature: float = 1.0
 
     def pose_at(self, length: float) -> Pose:
-        """Return the pose after turning `length` rad."""
+        """Return the pose when the first `length` rad of the turn are done."""
         return Pose(self.start.x, self.start.y, self.start.theta + self.side * length)
 
     def curvature_at(self, length: float) -> float:
-        """Return `side`, the change of heading per length [rad/rad]."""
+        """Return `side`: 1 for a turn to the left, -1 to the right (rad of heading per rad)."""
         return self.side
 
     def distance_to(self, point: Pose, guess: float) -> float:
@@ -168,7 +168,7 @@ class FigureEight:
         return self.top_curvature * sin(tau * length / self.length)
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance [m] from `point` to the curve near `guess` m along it."""
+        """Return the distance [m] from `point` to the curve, searched near `guess` m along it."""
         near = self.pose_at(guess % self.length).express(point)
         nearest = self.pose_at((guess + near.x) % self.length)
         return abs(nearest.express(point).y)
@@ -193,7 +193,7 @@ class FigureEightPart:
         return self.whole.curvature_at(self.begin + length)
 
     def distance_to(self, point: Pose, guess: float) -> float:
-        """Return the distance [m] from `point` to `whole` near `guess` m along the part."""
+        """Return the distance [m] from `point` to `whole`, searched near `guess` m in the part."""
         return self.whole.distance_to(point, self.begin + guess)
 
 
@@ -253,7 +253,7 @@ class Path:
     end: Pose = ORIGIN
 
     def distance_to(self, point: Pose, index: int, length: float) -> float:
-        """Return the distance [m] from `point` to the path near `length` in segment `index`."""
+        """Return the distance [m] from `point` to the path near `length` of segment `index`."""
         segment = self.segments[index]
         if segment.turns:
             return self._distance_to_sides(point, index)
@@ -276,7 +276,7 @@ class Path:
         return min(distances_m, default=self.segments[index].distance_to(point, 0.0))
 
     def outline(self) -> tuple[Pose, ...]:
-        """Return the corners of the lap and poses along its curves, to draw it."""
+        """Return poses along one lap, to draw it: its corners, and many along its curves."""
         curves = sum(1 for segment in self.segments if _bends(segment))
         pieces_of_curve = max(1, OUTLINE_PIECES // max(1, curves))
         poses = [segment.pose_at(0.0) for segment in self.segments[:1]] or [ORIGIN]

@@ -150,7 +150,7 @@ class Pattern:
     )
 
     def refusal(self, course: Course = PLAIN) -> str:
-        """Return the reason against driving this pattern with `course`, "" if there is none."""
+        """Return why this pattern is not allowed with `course`, or "" if it is allowed."""
         size_m, speed_mps = self.size_m, self.speed_mps
         if not MIN_SIZE_M <= size_m <= MAX_SIZE_M:
             return f"a size of {size_m:g} m: use {MIN_SIZE_M:g} to {MAX_SIZE_M:g} m"

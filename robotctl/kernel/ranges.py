@@ -16,7 +16,7 @@ class Range(NamedTuple):
 
 
 class Change(Enum):
-    """The time at which a parameter may get a new value."""
+    """When a parameter may get a new value: while the robot stands, at any time, or at a start."""
 
     STANDING = "while the robot stands"
     ANY_TIME = "at any time"
@@ -36,15 +36,15 @@ def bounded(
     about: str = "",
     change: Change = Change.STANDING,
 ) -> Any:
-    """Return a field for a number, with its `Range` in the metadata."""
+    """Return a dataclass field for a number, with its `Range` in the metadata."""
     return setting(default, about, change, range=Range(low, high, unit))
 
 
 def topic(default: str, about: str, *, optional: bool = False) -> Any:
-    """Return a field for the name of a ROS topic; "" is allowed if `optional`."""
+    """Return a dataclass field for a parameter that names a ROS topic; "" only if `optional`."""
     return setting(default, about, Change.START, topic=True, optional=optional)
 
 
 def frame(default: str, about: str, *, optional: bool = False) -> Any:
-    """Return a field for the name of a coordinate frame; "" is allowed if `optional`."""
+    """Return a dataclass field for a parameter that names a frame; "" only if `optional`."""
     return setting(default, about, Change.START, frame=True, optional=optional)

@@ -20,9 +20,9 @@ from robotctl.kernel.types import RESETTING, Cause, Remedy
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A cause, and the mode `action` that it leads to from the modes in `raised_in`.
+    """A safety rule: while `check` returns a sentence, `cause` applies and motion cannot start.
 
-    The rule applies unless `check` returns ""; the cause has cleared when `clear_check` returns "".
+    It changes the modes in `raised_in` to `action`, and has cleared when `clear_check` returns "".
     """
 
     cause: Cause
@@ -190,13 +190,13 @@ def remedies_for(cause: Cause | None) -> tuple[Remedy, ...]:
 
 
 def remedies_to_move(cause: Cause) -> tuple[Remedy, ...]:
-    """Return the remedies, in order, for motion after ERROR or EMERGENCY_STOP by `cause`."""
+    """Return what the operator must do, in order, to move again after a stop by `cause`."""
     remedy = RULE_OF[cause].remedy
     return (remedy,) if remedy in RESETTING else (remedy, Remedy.RESET)
 
 
 def uncleared(cause: Cause, health: Health, params: KernelParams, t_ns: int) -> Finding | None:
-    """Return the finding against clearing `cause`, None if the cause has cleared."""
+    """Return the rule of `cause` and why it has not cleared yet, or None if it has."""
     rule = RULE_OF[cause]
     detail = rule.clear_check(health, params, t_ns)
     return Finding(rule, detail) if detail else None

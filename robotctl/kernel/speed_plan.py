@@ -26,7 +26,10 @@ JOINT_S = 0.09
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """The plan for one segment, in m or rad; `last_end_speed` is for the last lap."""
+    """The speed plan of one segment of a path, in m, or in rad for a turn.
+
+    In the last lap, the segment ends at `last_end_speed` instead of `end_speed`.
+    """
 
     length: float
     top_speed: float
@@ -36,7 +39,7 @@ class Leg:
 
 
 def speed_plan(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Leg, ...]:
-    """Return a leg for each segment, with a speed of at most `speed_mps`."""
+    """Return the planned speeds of each segment; on lines and curves, at most `speed_mps`."""
     segments = path.segments
     tops = [_top_speed(segment, speed_mps, limits) for segment in segments]
     accels = [_accel(segment, limits) for segment in segments]
@@ -118,7 +121,7 @@ def path_for(pattern: Pattern, course: Course, laps: int) -> Path:
 
 
 def legs_for(path: Path, speed_mps: float, limits: VelocityLimits) -> tuple[Leg, ...]:
-    """Return the result of `speed_plan`, cached."""
+    """Return the planned speeds of each segment, as `speed_plan` does; the last plan is cached."""
     for known_path, known_mps, known_limits, legs in _last_plan:
         if known_path is path and known_limits is limits and known_mps == speed_mps:
             return legs

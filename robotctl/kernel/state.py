@@ -17,7 +17,7 @@ from robotctl.kernel.types import ZERO, Cause, Lease, LifecycleState, Odometry, 
 
 @dataclass(frozen=True, slots=True)
 class SecondOdometry:
-    """The last sample of an unfollowed publisher, with its differences from the followed pose."""
+    """The last odometry of a publisher that is not followed, compared with the one that is."""
 
     source: int
     t_ns: int
@@ -72,7 +72,7 @@ class Stalls:
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """The last laser scan as the nearest ranges by direction [m], () if it was not readable.
+    """The last laser scan: `sectors` has the nearest range [m] by direction, () if unreadable.
 
     `ahead_m` is the distance to the nearest obstacle in the path of the command, inf if none.
     """
@@ -88,11 +88,11 @@ class Health:
     """The kernel's knowledge of the robot and its sensors.
 
     - `odometry`: the last usable sample of the followed publisher.
-    - `odometry_t_ns`: the receipt of the followed publisher's last usable and new sample.
-    - `odometry_stamp_ns`, `odometry_fault`: from the last sample, usable or not; no fault is "".
+    - `odometry_t_ns`: when its last sample came that had no fault and was no repetition.
+    - `odometry_stamp_ns`, `odometry_fault`: of its last sample, usable or not; "" is no fault.
     - `reported`: the faults that the daemon reported and has not cleared.
     - `battery_in_percent`: whether a full battery reports 100 instead of 1.
-    - `inputs`: the last reading of each `SafetyInput`, in that order; () before all readings.
+    - `inputs`: the last readings, in the order of `SafetyInput`; () before the first reading.
     - `fence_origin`: the pose of the robot at the start of the first motion.
     - `lifecycle`: the state of the node `mode_service`.
     """
@@ -176,7 +176,7 @@ FULLEST_LEVEL = 1.05
 
 
 def counts_in_percent(raw: float, before: bool, scale: BatteryScale) -> bool:
-    """Return whether the level `raw` is in percent; `before` is the previous result."""
+    """Return whether levels are in percent; `raw` is the newest level, `before` the last result."""
     if scale is BatteryScale.AUTO:
         return before or FULLEST_LEVEL < raw <= 100.0 * FULLEST_LEVEL
     return scale is BatteryScale.PERCENT

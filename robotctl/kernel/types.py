@@ -239,7 +239,7 @@ class ScanReceived:
 class ModeRequested:
     """A request for the mode number `requested`, which may be invalid.
 
-    `client` is as in `Lease`, 0 without one. A `remote` request may be of another host.
+    `client` is the lease holder's number, 0 for others. If `remote`, another host may have sent it.
     """
 
     t_ns: int
@@ -309,7 +309,7 @@ class ForeignCommandHeard:
 
 @dataclass(frozen=True, slots=True)
 class CommandListenersSeen:
-    """The number of subscriptions with the sent type, and the types of all other subscriptions."""
+    """Subscriptions to the command topic: how many have its `type_name`, and the other types."""
 
     t_ns: int
     count: int
@@ -456,7 +456,7 @@ class ReleaseEmergencyStop:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer to a request, after a refusal with `remedies` in order."""
+    """The answer to a request; after a refusal, `remedies` are the operator's steps, in order."""
 
     request_id: int
     ok: bool
@@ -495,7 +495,7 @@ class DriveReport:
 
 @dataclass(frozen=True, slots=True)
 class DriveEnded:
-    """The drive of `request_id` has ended; `cause` is None after its last lap or a request."""
+    """The drive of `request_id` ended; `cause` is that of ERROR or EMERGENCY_STOP, else None."""
 
     request_id: int
     completed: bool

@@ -71,7 +71,7 @@ class UnreadableType(ValueError):
 
 
 class FieldShape(Enum):
-    """The shape of a field."""
+    """Whether a field is one value, an array of fixed length, or a sequence."""
 
     ONE = "one"
     ARRAY = "array"
@@ -127,10 +127,7 @@ class Definition:
     """The number of leaves in a message of each type, at least 1."""
 
     def leaf_count(self, field: Field) -> int:
-        """Return the number of leaves of a field.
-
-        A leaf is a number, a text, a message without fields, or a list that is not split.
-        """
+        """Return the number of leaves of a field: numbers, texts, empty messages, unsplit lists."""
         one = self.leaf_counts[field.type_name] if field.is_message else 1
         if field.shape is FieldShape.ONE:
             return one
@@ -324,11 +321,11 @@ def description_of(type_name: str, definition: Definition) -> dict[str, Any]:
 
 
 def read_description(type_name: str, description: Mapping[str, Any]) -> Definition:
-    """Return the definition of the described type, or of a type that it needs.
+    """Return the definition of `type_name` from a description of it, or of a type that needs it.
 
     Raises:
-        UnreadableType: The description is malformed or exceeds a limit, ros2msg cannot express it
-            (long double, fixed strings), or `_checked` finds a fault.
+        UnreadableType: The description is malformed, exceeds a limit or lacks a type, or ros2msg
+            cannot express it (long double, fixed strings).
     """
     try:
         known = [description["type_description"], *description["referenced_type_descriptions"]]

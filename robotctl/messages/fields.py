@@ -38,7 +38,7 @@ class ValueKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FieldPath:
-    """A path of `steps` into a message, to the values of `field`."""
+    """A path into a message: field names and list indexes (`steps`) that lead to `field`."""
 
     steps: Steps
     field: Field

@@ -54,7 +54,7 @@ def sample_of(odometry: Odometry) -> Sample:
 
 
 def read_sample(data: bytes) -> Sample:
-    """Return the numbers of serialized odometry, those of `UNREADABLE` if `data` is malformed."""
+    """Return the numbers of serialized odometry; NaN, with stamp 0, if `data` is malformed."""
     try:
         return _new(Sample, _decode(data))
     except Exception:  # noqa: BLE001 - the bytes may be anything
@@ -168,7 +168,7 @@ def frame_bytes(data: bytes) -> bytes:
 
 
 def frame_id_of(data: bytes) -> str:
-    """Return the frame_id of a message with a header, "" for big endian."""
+    """Return the frame_id of a serialized message with a header, "" if it is big endian."""
     if data[:2] != LITTLE_ENDIAN:
         return ""
     return frame_bytes(data)[_LENGTH.size :].removesuffix(b"\0").decode(errors="replace")
