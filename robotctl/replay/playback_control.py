@@ -79,7 +79,7 @@ class PlaybackControl:
         return self._schedule
 
     def begin(self, moment_ns: int) -> None:
-        """Start to play from recorded time 0 at steady time `moment_ns`, or after a pause."""
+        """Make recorded time 0 due at steady time `moment_ns`, or at `resume` if paused."""
         with self._changing:
             self._schedule = replace(self._schedule, moment_ns=moment_ns, at_ns=0)
 
@@ -113,7 +113,7 @@ class PlaybackControl:
             self._steps += self._schedule.paused
 
     def takes_step(self, at_ns: int) -> bool:
-        """Use a step of this pause for the message at `at_ns`. Return False if no step is left."""
+        """Use up a `step` for the message at recorded time `at_ns`. Return False without a step."""
         with self._changing:
             if not (self._steps and self._schedule.paused):
                 return False

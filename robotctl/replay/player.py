@@ -158,7 +158,7 @@ class ClockPublisher:
 
 
 class Player:
-    """Sends each entry by the `Send` of its topic when it is due, or at once if `rate` is None.
+    """Sends each recorded message on its topic when it is due, or at once if `rate` is None.
 
     `run` sends in the thread that calls it. Any thread may use all other members.
     """

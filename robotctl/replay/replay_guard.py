@@ -48,7 +48,7 @@ def running_daemons() -> list[RunningDaemon]:
 
 
 def daemons_in(domain_id: int) -> list[RunningDaemon]:
-    """Return the daemons in the domain, or in an unknown one, except those that only observe."""
+    """Return the daemons whose domain is `domain_id` or unknown, but none that only records."""
     return [
         daemon
         for daemon in running_daemons()
@@ -141,7 +141,7 @@ class ReplayGuard:
         return [replace(route, name=absolute(route.name, self.prefix)) for route in routes]
 
     def withheld(self, routes: Iterable[Route]) -> list[Route]:
-        """Return the routes without prefix that would command a robot and are not in --topics."""
+        """Return the routes that a robot would obey, except those in --topics; none if prefixed."""
         if self.prefix:
             return []
         return [route for route in routes if is_command(route) and not self.names(route)]

@@ -75,7 +75,7 @@ BEHIND_S = 0.05
 
 
 def progress(player: Player, ahead: ReadAhead, now_ns: int) -> dict[str, Any]:
-    """Return position, rate and counts of a replay. `behind` counts messages late by BEHIND_S."""
+    """Return position, rate and counts. `behind` is the number of messages over BEHIND_S late."""
     schedule, position_ns = player.control.schedule, player.position_ns
     behind = 0
     if schedule.rate is not None:
@@ -164,7 +164,7 @@ def playable(
 def open_routes(
     routes: Sequence[Route], ros: ReplaySession, job: Job, report: ReplayReport
 ) -> tuple[list[Route], dict[str, Send]]:
-    """Return the routes that could be opened, and `Send` by topic. `report` gets the others."""
+    """Open the routes. Return those that succeed, and a send function by topic. Report the rest."""
     opened: list[Route] = []
     sends: dict[str, Send] = {}
     for route in routes:

@@ -91,10 +91,10 @@ def entries(
     *,
     loop: bool = False,
 ) -> Iterator[Entry]:
-    """Yield the entries to send, in order. `before` and `during` are called for each pass.
+    """Yield the entries to send: in each pass, first those of `before()`, then of `during()`.
 
     `before` returns the messages latched at the start of the span, and `during` those of the span
-    in the order of log time. With `loop`, repeat until a pass is empty.
+    in the order of log time. With `loop`, passes repeat until one is empty.
     """
     begin_ns = 0
     while True:

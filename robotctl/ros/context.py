@@ -107,7 +107,7 @@ class Membership:
         """Wait until `is_known()` is true. Return whether it became true in time.
 
         The wait ends when discovery is complete, at the latest SETTLE_S after the domain was
-        joined. With `expected`, only EXPECTED_S limits the wait.
+        joined. If `expected`, it goes on after that, until EXPECTED_S after the domain was joined.
 
         Raises:
             asyncio.CancelledError: Stdin was closed.

@@ -93,7 +93,7 @@ class RecordingFile:
 
     @property
     def summary(self) -> Summary:
-        """The summary of the file so far."""
+        """The MCAP summary of the data written so far: counts, times and indexes."""
         return self._mcap.summary
 
     def begin_seal(self) -> None:
@@ -128,7 +128,7 @@ class RecordingFile:
         self.event_count += 1
 
     def sync(self) -> None:
-        """Sync the written data to the disk, then store the seal's newest link outside the file."""
+        """Sync the written data to the disk. Then store the seal's last link outside the file."""
         if not self._synced:
             self._mcap.sync()
             self._synced = True
@@ -209,10 +209,10 @@ MAX_SHARE: Final = 0.25
 def repeats(
     channels: Sequence[ChannelState], newest_ns: int, split_bytes: int
 ) -> list[PlainMessage]:
-    """Return the latched messages for a new file to repeat.
+    """Return the latched messages that a new file repeats at its beginning.
 
-    `newest_ns` replaces the log times unless it is 0. Beyond MAX_SHARE of `split_bytes`, the
-    largest messages are left out and counted in `not_repeated`.
+    `newest_ns` replaces their log times unless it is 0. If they need more than MAX_SHARE of
+    `split_bytes`, the largest are left out and counted in `not_repeated`.
     """
     latched = [
         (channel, message.data, newest_ns or message.log_ns, message.publish_ns, message.sequence)

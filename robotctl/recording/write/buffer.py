@@ -24,7 +24,7 @@ from robotctl.recording.format.records import (
 
 @dataclass(frozen=True, slots=True)
 class PackedMessages:
-    """Messages as the records of an uncompressed chunk, with the fields of `Chunk`."""
+    """The content of a chunk before compression: message records, their index and time span."""
 
     parts: Sequence[Buffer]
     indexes: dict[int, array[int]]
@@ -33,10 +33,10 @@ class PackedMessages:
 
 
 class PackBuffer:
-    """Memory for many packed messages.
+    """Memory that the event loop fills with message records, for the writer thread.
 
-    A message must end by byte `limit`. With `limit` 0, the packer changes to another buffer.
-    `unordered` has the channels whose log times may step back.
+    A record must end at byte `limit` or before. With `limit` 0, the event loop continues in another
+    buffer. `unordered` has the ids of channels whose log times may step back.
     """
 
     # There is no lock: `Recorder.write` writes a message at `end`, then its index entry, and
@@ -57,7 +57,7 @@ class PackBuffer:
         self._taken = 0
 
     def weigh(self) -> int:
-        """Add the index bytes to `size`, and return their number. The buffer must be full."""
+        """Add the bytes of the indexes to `size`, and return them. Call it for a full buffer."""
         added = sum(len(index) * index.itemsize for index in self.indexes)
         self.size += added
         return added
@@ -68,7 +68,7 @@ class PackBuffer:
             self.indexes.append(array("Q"))
 
     def take(self) -> PackedMessages | None:
-        """Return the messages since the last take, or None. Called by the writer thread.
+        """Return the messages added since the last call, or None. Called by the writer thread.
 
         Raises:
             MemoryError: There is no memory; nothing is taken.
@@ -106,7 +106,7 @@ class PackBuffer:
         return {channel: count // 2 for channel, count in counts.items()}
 
     def recycle(self) -> None:
-        """Empty the buffer. All messages must be taken, and are no longer valid."""
+        """Empty the buffer for reuse. What `take` has returned becomes invalid."""
         self._taken = 0
         self.end = 0
         self.limit = self.size = len(self.data)

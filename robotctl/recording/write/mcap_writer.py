@@ -40,17 +40,17 @@ LINK_PERIOD_S: Final = 10.0
 
 
 class Sealer(Protocol):
-    """The part of `seal.Keyring` for the writer thread. An error ends the seal of a file."""
+    """The robot's signing keys, as a `FileSeal` uses them. An error ends the seal of the file."""
 
     def open_file(self, file: str) -> SealOfFile:
         """Return the seal of a new file."""
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Store `link` outside the recording. The covered bytes must be on the disk."""
+        """Store `link` outside the recording. First sync the bytes of the file that it signs."""
 
 
 class FileSeal:
-    """The seal of one file, a hash chain over header and data. It is signed from `open` on."""
+    """The seal of one file: a hash chain over header and data, signed once `open` was called."""
 
     def __init__(self, sealer: Sealer, clock: Callable[[], float] = time.monotonic) -> None:
         """Begin the chain at the beginning of the file. `clock` returns monotonic time [s]."""
@@ -69,7 +69,7 @@ class FileSeal:
         """The reason for the end of the seal, or ""."""
 
     def open(self, file: str) -> bytes:
-        """Begin to sign, and return the opening record, b"" after a failure."""
+        """Begin to sign. Return the record that opens the seal, with its key, b"" on failure."""
         try:
             self._seal = self._sealer.open_file(file)
         except Exception as error:  # noqa: BLE001 - the seal never stops a recording
@@ -90,7 +90,7 @@ class FileSeal:
         return self._seal is not None and self._clock() >= self._due
 
     def link(self, covered: int) -> bytes:
-        """Return a signed link over the first `covered` bytes as a record, b"" on failure."""
+        """Return a record for the data that signs the first `covered` bytes, b"" on failure."""
         link = self._signed(LinkKind.LINK, covered)
         if link is None:
             return b""
@@ -102,14 +102,14 @@ class FileSeal:
         return link.record()
 
     def head(self, covered: int) -> bytes:
-        """Return the link over the first `covered` bytes for the summary, b"" after a failure."""
+        """Return a record for the summary that signs the first `covered` bytes, b"" on failure."""
         if self._seal is None:
             return b""
         self._head = self._signed(LinkKind.HEAD, covered)
         return b"" if self._head is None else self._head.record()
 
     def keep(self, *, closed: bool = False) -> None:
-        """Store the last link, or the head of a `closed` file. Its bytes must be on the disk."""
+        """Store the last `link` (`head` if `closed`) outside the file. First sync the file."""
         link = self._head if closed else self._stored
         if self._seal is None or link is None:
             return
@@ -145,7 +145,7 @@ COMMITS: Final = 3
 
 
 def write_hidden(parts: Sequence[Buffer], start: int, storage: Storage) -> None:
-    """Write records into the room at `start`. Readers see them only when all are written.
+    """Write records over the filler record at `start`. Readers skip it until all are written.
 
     Raises:
         OSError: The disk is full or fails. The file must be cut back.
@@ -200,7 +200,7 @@ class McapFile:
 
     @classmethod
     def resume(cls, storage: Storage, written: WrittenFile) -> Self:
-        """Return a writer that continues a finished file behind its data."""
+        """Return a writer that appends to the data of a finished file, over its trailer."""
         self = cls(storage, profile="", library="")
         self._pending.clear()
         self._data_end = written.data_end
@@ -209,13 +209,13 @@ class McapFile:
         return self
 
     def add_schema(self, schema: Schema) -> None:
-        """Add a schema with a new id other than 0."""
+        """Add a schema. Its id must be new, and not 0."""
         data = record_bytes(schema)
         self._pending += data
         self.summary.add(Opcode.SCHEMA, data)
 
     def add_channel(self, channel: Channel) -> None:
-        """Add a channel with a new id and an added schema."""
+        """Add a channel. Its id must be new, and its schema added before."""
         data = record_bytes(channel)
         self._pending += data
         self.summary.add(Opcode.CHANNEL, data)
@@ -249,9 +249,10 @@ class McapFile:
         self._pending += record
 
     def commit(self, chunk: Chunk | None = None, *, finished: bool = True) -> None:
-        """Write the added records, then `chunk`, then the trailer.
+        """Write the records added since the last commit, then `chunk`, then a new trailer.
 
-        With `finished` False, which requires `keeps_room` False, the file is not valid yet.
+        If `finished` is False, there is no trailer, and the file is invalid until a later commit
+        writes it. Not allowed with `keeps_room`.
 
         Raises:
             OSError: The file may be torn until `cut_back` has repaired it.
@@ -317,11 +318,7 @@ class McapFile:
     # (2) before it, a copy of the trailer; (3) the footer of the copy, so that readers of the index
     # do not need the old trailer; (4) the head of the room, which reaches to the copy.
     def _make_room(self, good: TrailerState, size: int) -> TrailerState:
-        """Make room for `size` bytes before the trailer, and return the trailer's state.
-
-        Raises:
-            OSError: The disk is full or fails. The file must be cut back.
-        """
+        """Make room for `size` bytes before the trailer, and return the trailer's state."""
         start, storage = self._data_end, self._storage
         if size + RECORD_HEAD_BYTES > good.data_end - start:
             # At least the trailer: moving it writes about one byte for each byte recorded.

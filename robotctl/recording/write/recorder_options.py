@@ -46,19 +46,19 @@ class TopicFilter:
         return not self._include or any(included)
 
     def can_leave_out(self, topic: str) -> bool:
-        """Return whether patterns may exclude `topic`."""
+        """Return whether patterns may exclude `topic`: not if it is in `always`."""
         return topic not in self._always
 
 
 class TopicPattern:
-    """A pattern as in `TopicFilter`."""
+    """A pattern with wildcards for topic names or, after the prefix `type:`, for types."""
 
     def __init__(self, text: str) -> None:
         self._of_type = text.startswith(TYPE_PREFIX)
         self._match = re.compile(translate(text.removeprefix(TYPE_PREFIX))).match
 
     def matches(self, topic: str, type_name: str) -> bool:
-        """Return whether a `type:` pattern matches `type_name`, or any other pattern `topic`."""
+        """Return whether the pattern matches `topic` or, if it begins with `type:`, `type_name`."""
         return self._match(type_name if self._of_type else topic) is not None
 
 

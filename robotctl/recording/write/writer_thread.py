@@ -60,7 +60,7 @@ assert MESSAGE_HEAD.size == RECORD_HEAD_BYTES + MESSAGE_FIELDS_BYTES
 
 
 class EvidenceChunks:
-    """Separates the messages of evidence topics from those of heavy topics."""
+    """Separates evidence topics, which a check of decisions reads, from topics with more data."""
 
     # A chunk is read as a whole: otherwise a check of the decisions would read every image.
 
@@ -72,7 +72,7 @@ class EvidenceChunks:
         self._evidence: set[int] = set()
 
     def separate(self, packed: PackedMessages) -> tuple[PackedMessages, ...]:
-        """Return copies of evidence and rest as two chunks, or `packed` if a split does not pay.
+        """Return two chunks, evidence and the rest, or only `packed` if a split saves too little.
 
         Raises:
             MemoryError: There is no memory for the copies; nothing is changed.
@@ -161,7 +161,7 @@ _SETTLE_S = 1.0
 
 
 class WriterCommand(Enum):
-    """A request of the event loop in the queue of buffers."""
+    """A command from the event loop to the writer thread, queued between buffers of messages."""
 
     SPLIT = "go on in a new file"
     STOP = "finish"

@@ -66,7 +66,7 @@ class ModeService(Node):
         self.get_logger().warning(f"{NO_ROBOT}; to drive one: robotctl start")
 
     def robot(self) -> str:
-        """Return the sign of a robot in the domain ("odometry is published"), or ""."""
+        """Return why a robot may be in the domain, such as "odometry is published", or ""."""
         if self.count_publishers("odom"):
             return "odometry is published"
         if self.count_subscribers("cmd_vel"):

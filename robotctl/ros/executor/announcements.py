@@ -27,7 +27,7 @@ _RET_UNSUPPORTED = 3
 
 
 class Announcement(Enum):
-    """A kind of data that rcl announces, as (library, C function to set a callback)."""
+    """A kind of new data. Its value is (library, C function that sets rcl's callback for it)."""
 
     MESSAGE = ("librcl.so", "rcl_subscription_set_on_new_message_callback")
     REQUEST = ("librcl.so", "rcl_service_set_on_new_request_callback")
@@ -65,7 +65,7 @@ def check_platform() -> None:
 
 @cache
 def counts_each_message() -> bool:
-    """Return whether the eventfd's count includes all messages, even those before `watch`."""
+    """Return whether the eventfd counts every message, even one that arrived before `watch`."""
     return str(get_rmw_implementation_identifier()) == "rmw_fastrtps_cpp"
 
 
@@ -140,7 +140,7 @@ _passed = False
 
 
 async def check_announcements(context: Context) -> None:
-    """Check, until a first success, that rcl announces a message and returns the right bytes.
+    """Send a test message: rcl must announce it and return its bytes. No-op after a success.
 
     Raises:
         UnsupportedPlatform: The check failed; the error text names the step.

@@ -56,7 +56,7 @@ _START_NS = time.monotonic_ns()
 
 
 def beat_before(t_ns: int, period_ns: int = BEAT_NS) -> int:
-    """Return the last beat [ns] at or before steady time `t_ns`, with beats `period_ns` apart."""
+    """Return the last beat [ns] up to steady time `t_ns`. Beats wake timers every `period_ns`."""
     return t_ns - (t_ns - _START_NS) % period_ns
 
 

@@ -61,7 +61,7 @@ async def wait(future: Future) -> Any:
 
 
 def open_bridge(loop: asyncio.AbstractEventLoop) -> None:
-    """Use `wait` for each `await future` in this loop, until `close_bridge` is called."""
+    """Make `await future` work for rclpy futures in this loop, until `close_bridge` is called."""
     _bridged_loops[loop] += 1
     _set_await(_await_bridged)
 
@@ -100,7 +100,7 @@ class ImmediateCallbacks:
         self._report = report
 
     def create_task(self, callback: Callable[[Future], object], future: Future) -> None:
-        """Run a done callback of the future."""
+        """Call `callback(future)` at once. rclpy calls this for each done callback."""
         try:
             callback(future)
         except Exception as error:  # noqa: BLE001 - goes to the handler

@@ -27,7 +27,7 @@ class LoopThread:
         return threading.get_ident() == self._thread_id
 
     def open(self, loop: AbstractEventLoop) -> None:
-        """Run kept and later functions in `loop`. Call this in the loop's thread."""
+        """Run functions in `loop` from now on, first the waiting ones. Call this in its thread."""
         with self._lock:
             self._loop, self._thread_id = loop, threading.get_ident()
             waiting, self._waiting = self._waiting, []
@@ -35,7 +35,7 @@ class LoopThread:
                 loop.call_soon(callback)
 
     def give_up(self) -> None:
-        """Run the kept functions in the caller's thread. Later functions run at once."""
+        """Stop waiting for a loop. Run the waiting functions here, and later ones at once."""
         with self._lock:
             self._given_up = True
             waiting, self._waiting = self._waiting, []
@@ -43,7 +43,7 @@ class LoopThread:
             callback()
 
     def call_soon(self, callback: Callable[[], object]) -> None:
-        """Call `callback` in a later turn of the loop or, after `give_up`, at once.
+        """Call `callback` in a later turn of the loop (after `open`), or at once after `give_up`.
 
         Raises:
             RuntimeError: The loop is closed.

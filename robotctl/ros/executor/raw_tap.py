@@ -31,8 +31,8 @@ class RawTap:
 
     `sink` gets the serialized message, the wall-clock times [ns] of reception and publication, and
     the number and gid (16 bytes) of its publisher. A gap in the numbers of one gid is a lost
-    message. `sink` must not be async, and is a ViewSink with `views`. In an executor of rclpy, the
-    gid is `UNKNOWN_GID`.
+    message. `sink` must not be async. With `views`, it gets large messages as memoryviews, valid
+    only during the call. In an executor of rclpy, the gid is `UNKNOWN_GID`.
     """
 
     __slots__ = ("__weakref__", "latency_s", "poll", "sink", "views")

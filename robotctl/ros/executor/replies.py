@@ -86,7 +86,7 @@ class Replies:
             self._keep(_Waiting(gid, attempt, now_s + WAIT_S))
 
     def close(self) -> None:
-        """Drop the waiting responses. Later responses are tried once and not held back."""
+        """Drop the responses that wait for a reader. Afterwards `send` tries each response once."""
         self._closed = True
         self._waiting.clear()
         if self._timer is not None:
@@ -169,7 +169,7 @@ def readers_of(node: Node, service: str) -> Callable[[], Container[bytes]]:
 
 
 def reader_of(header: Any) -> bytes | None:
-    """Return the gid of the reader of the response to a request, None if it is unknown."""
+    """Return the gid of the client's reader of responses from a request's header, or None."""
     if isinstance(header, _rclpy.rmw_service_info_t):
         header = header.request_id
     is_fastrtps = "fastrtps" in get_rmw_implementation_identifier()
@@ -207,7 +207,7 @@ def requester() -> bytes | None:
 
 @contextmanager
 def request_of(header: Any) -> Iterator[None]:
-    """Make `requester` return the client of the request `header` within the `with` block."""
+    """Make `requester()` return the gid of the client that sent `header`, in the `with` block."""
     token = _REQUESTER.set(reader_of(header))
     try:
         yield

@@ -37,7 +37,7 @@ class Resumable(Protocol):
 
 
 class Pooled(Protocol):
-    """A `Source` that a `Pool` polls."""
+    """The member of a `Pool`: a `Source`, which runs the callback of one ROS entity."""
 
     def poll(self) -> bool:
         """Deliver the waiting data. Return True if the time slice ended with data left."""
@@ -126,7 +126,10 @@ class Pool:
 
 
 def rested_s(rest_s: float) -> float:
-    """Return the monotonic time [s] after a rest of `rest_s`. A long rest ends early, on a beat."""
+    """Return the monotonic time [s] at which a rest of `rest_s` from now ends.
+
+    A rest longer than BEAT_NS ends early, on a beat, so that timers and rests end together.
+    """
     until_ns = time.monotonic_ns() + round(rest_s * NS_PER_S)
     if rest_s * NS_PER_S > BEAT_NS:
         until_ns = beat_before(until_ns)

@@ -198,7 +198,7 @@ class _TakenSource(EventFdSource):
 
 
 class SubscriptionSource(_TakenSource):
-    """Serves a typed or raw subscription. In a flood, messages may come FLOOD_REST_S late."""
+    """Serves a typed or raw subscription. At high rates, a message may wait for FLOOD_REST_S."""
 
     def __init__(self, runtime: Runtime, subscription: Subscription, where: str) -> None:
         decode = bytes if subscription.raw else decoder_of(subscription.msg_type)
@@ -251,9 +251,9 @@ class RawTapSource(_TakenSource):
 
 
 def affordable_rest_s(wanted_s: float, qos: QoSProfile) -> float:
-    """Return the longest time [s], up to `wanted_s`, in which the queue of `qos` does not overflow.
+    """Return the longest pause [s] between polls that does not overflow the subscription's queue.
 
-    Return 0 if that time is too short to save CPU time.
+    It is at most `wanted_s`, and 0 if it would be too short to save CPU time.
     """
     if qos.history == HistoryPolicy.KEEP_ALL:
         return wanted_s

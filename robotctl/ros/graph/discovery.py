@@ -55,7 +55,7 @@ class Introduction(NamedTuple):
 
 
 class IntroductionReader:
-    """Reads the last `Introduction` of each process in the domain, including this process."""
+    """Keeps the last announcement on `ros_discovery_info` of each process, also of this one."""
 
     def __init__(self, node: Node) -> None:
         """Create the reader on `node`.
@@ -70,7 +70,7 @@ class IntroductionReader:
         self._reader = _create(node, "rmw_create_subscription", _qos(_READ_DEPTH), options)
 
     def look(self) -> None:
-        """Read each new `Introduction`."""
+        """Read the announcements that have arrived since the last call."""
         while (data := self._take()) is not None:
             try:
                 found = read_introduction(data)
@@ -94,7 +94,7 @@ class IntroductionReader:
 
 
 class IntroductionWriter:
-    """Repeats this process's introduction: who acknowledges it knows all our earlier publishers."""
+    """Repeats this process's announcement. Who acknowledges it knows our earlier publishers."""
 
     def __init__(self, node: Node) -> None:
         """Create the writer on `node`, after all publishers that others must know.
@@ -108,7 +108,7 @@ class IntroductionWriter:
         self._writer = _create(node, "rmw_create_publisher", _qos(1), options)
 
     def write(self, data: bytes) -> None:
-        """Announce this process again with `data`, the content of its last `Introduction`."""
+        """Announce this process again. `data` is its last announcement, serialized."""
         memory = ctypes.create_string_buffer(data, len(data))
         message = rcutils.SerializedMessage(
             buffer=ctypes.addressof(memory),
@@ -228,7 +228,7 @@ class Discovery:
         self._since_s = time.monotonic()
 
     def close(self) -> None:
-        """Remove the reader of introductions from the graph."""
+        """Remove the reader of `ros_discovery_info` from the graph."""
         self._introductions.close()
 
     def wait(self, quiet_s: float, until_s: float, stopped: threading.Event) -> None:
@@ -296,9 +296,9 @@ def _discovered(node: Node) -> Iterator[FoundEndpoint]:
 
 
 def count_complete(known: Iterable[FoundEndpoint], introduced: Mapping[bytes, Introduction]) -> int:
-    """Return the number of processes in `introduced` whose endpoints are all in `known`.
+    """Return how many processes in `introduced` have all their announced endpoints in `known`.
 
-    A process with other endpoints in `known` counts only if those are on `ros_discovery_info`.
+    A process does not count if `known` also has an endpoint of its nodes that is not announced.
     """
     of_nodes: dict[bytes, set[bytes]] = {}
     all_gids: dict[bytes, set[bytes]] = {}
