@@ -57,13 +57,13 @@ class Faults:
         }
 
     def reported_pose(self, pose: Pose) -> Pose:
-        """Return the reported pose for the odometry's `pose`."""
+        """Return `pose` as the robot reports it: shifted by JUMP_M along x during an ODOM_JUMP."""
         if SimFault.ODOM_JUMP in self:
             return Pose(pose.x + JUMP_M, pose.y, pose.theta)
         return pose
 
     def reported_level(self, level: float) -> float:
-        """Return the reported battery level for the true `level`."""
+        """Return `level` as the robot reports it: at most BROWNOUT_LEVEL during a BROWNOUT."""
         return min(level, BROWNOUT_LEVEL) if SimFault.BROWNOUT in self else level
 
 
@@ -71,8 +71,9 @@ class Faults:
 class SimParams:
     """The imperfections of the simulated robot.
 
-    Odometry errors change only the reported motion. At each step, a random number of mean 1 and
-    deviation `actuation_noise` or `odometry_noise` multiplies each factor.
+    Actuation factors scale the true motion, odometry factors only the reported one. At each step,
+    every factor is multiplied by a random number of mean 1, whose standard deviation is
+    `actuation_noise` or `odometry_noise`.
     """
 
     lag_s: float = bounded(0.08, 0.0, 2.0, "s", "time constant of the drives", Change.START)
@@ -121,7 +122,7 @@ class Robot:
         self.faults = Faults()
 
     def resume(self, pose: Pose, measured: Twist, command: Twist) -> None:
-        """Continue at `pose`, with the reported velocity `measured`, and follow `command`."""
+        """Continue from `pose` with the reported velocity `measured` and the command `command`."""
         params = self._params
         self.truth = self.odometry = pose
         self.measured = measured
@@ -140,7 +141,7 @@ class Robot:
         self._command_age_s = 0.0
 
     def advance(self, dt_s: float) -> None:
-        """Move the robot for `dt_s` seconds."""
+        """Advance the simulation of robot, faults and battery by `dt_s` seconds."""
         params = self._params
         self.faults.advance(dt_s)
         self._command_age_s += dt_s

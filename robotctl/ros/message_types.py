@@ -68,7 +68,7 @@ NO_SUBSCRIPTION_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 def subscribe_raw(
     node: Node, message_class: Any, topic: str, tap: RawTap, wanted: QoSProfile
 ) -> Subscription:
-    """Subscribe to a topic with a `RawTap`, without rclpy's default event handlers."""
+    """Subscribe to a topic's serialized messages, and pass each with its origin to `tap`."""
     callback: Any = tap  # rclpy's types allow a callback of one argument only
     return node.create_subscription(
         message_class, topic, callback, wanted, event_callbacks=NO_SUBSCRIPTION_EVENTS, raw=True
@@ -127,7 +127,7 @@ PLAIN = CommandType(TWIST, encode_twist, decode_twist)
 
 
 def stamped(frame_id: str) -> CommandType:
-    """Return a CommandType for TwistStamped, with `frame_id` and the time of encoding."""
+    """Return the command type TwistStamped, with this `frame_id`, stamped at encoding."""
     encoder = StampedTwistEncoder(frame_id)
     return CommandType(
         TWIST_STAMPED,

@@ -101,7 +101,7 @@ class RequestSender:
         """Request -> its number of client events minus its number of server events."""
 
     def __call__(self, data: bytes) -> bool | None:
-        """Send the event's request, and return whether that worked. Return None for no request."""
+        """Send an event's request; return whether that worked, None without one or for a repeat."""
         try:
             event = deserialize_message(data, self._event_type)
         except _rclpy.RCLError:
@@ -175,10 +175,10 @@ _DURABILITY |= {policy.short_key: policy for policy in _DURABILITY.values()}
 
 
 def replay_qos(offered: str, *, most: int = MAX_DEPTH) -> QoSProfile:
-    """Return a QoS profile that matches every subscriber of the recorded publishers.
+    """Return a QoS profile that matches every subscriber which the recorded publishers match.
 
-    `offered` is the topic's `offered_qos_profiles` in a recording. The result is reliable and
-    volatile if `offered` cannot be read. A volatile topic's depth is at most `most`.
+    `offered` is the text `offered_qos_profiles` of a recording; if it cannot be read, the profile
+    is reliable and volatile. `most` limits the depth of a volatile profile.
     """
     profiles = _profiles(offered)
     reliabilities = [_RELIABILITY.get(str(each.get("reliability"))) for each in profiles]
@@ -265,9 +265,10 @@ class Unpublishable(Exception):
 
 
 class ReplaySession:
-    """Creates the publishers and clients of a replay, on the node of `membership`.
+    """Creates the publishers and clients of a replay.
 
-    They exist until the membership ends. Setting `stopped` ends every wait.
+    They belong to the node of `membership`, this process's stay in a ROS domain, and exist until
+    it ends. Setting the event `stopped` ends every wait.
     """
 
     def __init__(self, membership: Membership) -> None:
@@ -313,11 +314,7 @@ class ReplaySession:
         )
 
     def check_type(self, type_name: str) -> None:
-        """Check that the type is installed.
-
-        Raises:
-            Unpublishable: The type is not installed, or cannot be loaded.
-        """
+        """Raise `Unpublishable` if the message type is not installed or cannot be loaded."""
         _installed(serialized_type, type_name)
 
     def is_same_type(self, type_name: str, type_hash: str) -> bool:
@@ -369,7 +366,7 @@ class ReplaySession:
         return RequestSender(client, event_class)
 
     def open_clock(self, topic: str) -> Callable[[int], bool]:
-        """Create a publisher of the clock, and return a function that publishes a time [ns]."""
+        """Create a publisher of the ROS clock. Return a function that publishes a time [ns]."""
         qos = QoSProfile(depth=10)  # reliable: matches best-effort subscriptions too
         clock = serialized_type("rosgraph_msgs/msg/Clock")
         send = sender(self._node.create_publisher(clock, topic, qos))
@@ -411,7 +408,7 @@ class ReplaySession:
                         break
 
     def given_up(self) -> list[str]:
-        """Return the topics with a subscriber that has failed to acknowledge in time."""
+        """Return the topics on which a subscriber has failed to acknowledge messages in time."""
         return sorted(each.topic for each in self._patient if each.given_up)
 
     def _all_matched(self) -> bool:

@@ -55,9 +55,9 @@ class Session:
         """Exit stack to close after the last callback, before the nodes are destroyed."""
 
     def resolve(self, topic: str, role: str = "") -> str:
-        """Return the full name of `topic`, a topic or service, after remapping.
+        """Return the full name of a topic or service after remapping.
 
-        `role` is the default name of its node, for remaps of one node. The node need not exist.
+        `role` is the default name of the node that uses it. Rules for that node alone apply too.
         """
         # Introspection topics are remapped as their service.
         service = topic.removesuffix(SERVICE_EVENTS)
@@ -78,12 +78,12 @@ class Session:
         return full(topic)
 
     def logger_name(self, node_name: str) -> str:
-        """Return the name on ROS of the logger of the node with the default name `node_name`."""
+        """Return the ROS logger name of the node with the default name `node_name`."""
         full = f"{self._namespace}/{self._node_names.get(node_name, node_name)}"
         return full.strip("/").replace("/", ".")
 
     def helper(self) -> Node:
-        """Return the hidden node RECORDER_NODE, which all callers share. Create it if needed."""
+        """Return the hidden node `_recorder`, which all callers share. Create it if needed."""
         for node in self._nodes:
             if node.get_name() == RECORDER_NODE:
                 return node
@@ -94,7 +94,7 @@ class Session:
         return self.node_of(Node, name)
 
     def node_of(self, kind: type[N], name: str) -> N:
-        """Create a node of class `kind` as `node` does."""
+        """Create a node of class `kind` with the default name `name`, without rclpy's services."""
         # The type description service would take 0.1 MB per node, and no ROS tool calls it.
         node = kind(
             self._node_names.get(name, name),
@@ -131,9 +131,9 @@ async def ros_session(
 ) -> AsyncIterator[Session]:
     """Open a session in ROS domain `domain_id`. No callback runs after the block.
 
-    `at_end` closes the context, and must be the last step of the process. `remaps` are rules
-    FROM:=TO for topics and services. `node_names` maps default names of nodes to names on ROS.
-    `fifo_priority` requests SCHED_FIFO (1..99) for the loop's thread.
+    The ROS context stays open until the caller closes `at_end`, as its process's last step.
+    `remaps` are rules FROM:=TO for topics and services. `node_names` maps default names of nodes to
+    names on ROS. `fifo_priority` requests SCHED_FIFO (1..99) for the loop's thread.
     """
     nodes: list[Node] = []
     context = open_context(domain_id, remaps)

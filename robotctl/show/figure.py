@@ -79,9 +79,9 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """Lines and the spans of their axes, with later lines over earlier ones.
+    """The lines of a plot and the spans of its axes. Later lines cover earlier ones.
 
-    Over time, x is in seconds. On the ground, x and y are in metres and have the same scale.
+    In a plot over time, x is in seconds. In a map (`is_ground`), x and y are metres of equal scale.
     """
 
     title: str
@@ -91,7 +91,7 @@ class Figure:
     is_ground: bool = False
 
     def axes(self, frame: Frame) -> tuple[Axis, Axis]:
-        """Return the x and the y axis in a frame."""
+        """Return the x and the y axis, which map values to pixels of `frame`."""
         across, down = frame.right - frame.left, frame.bottom - frame.top
         x, y = self.x, self.y
         if self.is_ground:
@@ -109,7 +109,7 @@ def time_figure(
     least_span: float = 0.0,
     from_zero: bool = False,
 ) -> Figure:
-    """Return a figure over time, with at least the span `least_span` of y."""
+    """Return a figure over time, whose y axis spans at least `least_span`."""
     drawn = tuple(line for line in lines if line.runs)
     values = [value for line in drawn for run in line.runs for _, value in run] or [0.0]
     low, high = 0.0 if from_zero else min(values), max(values)
@@ -121,7 +121,7 @@ def time_figure(
 
 
 def ground_figure(title: str, lines: Iterable[Line]) -> Figure:
-    """Return a figure of paths on the ground."""
+    """Return a map of paths on the ground, with x and y in metres."""
     drawn = tuple(lines)
     points = [point for line in drawn for run in line.runs for point in run] or [(0.0, 0.0)]
     limits = [(min(values), max(values)) for values in zip(*points, strict=True)]
@@ -130,7 +130,7 @@ def ground_figure(title: str, lines: Iterable[Line]) -> Figure:
 
 
 def path_figure(reference: Path2D, driven: Path2D, title: str = "") -> Figure:
-    """Return the figure of a driven path over the reference path, without infinite points."""
+    """Return a map of the driven path over the reference path, without points that are infinite."""
     lines = [
         Line([points] if points else [], kind, name)
         for points, kind, name in (
@@ -151,7 +151,7 @@ class Stroke:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A text at the height `y`, with its centre at `x` or, if `is_end`, its end."""
+    """A text at height `y` [pixels]. `x` is the middle of the text or, if `is_end`, its end."""
 
     text: str
     x: float
@@ -161,7 +161,7 @@ class Label:
 
 
 def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
-    """Yield the grid, numbers and lines of a figure, nothing without lines."""
+    """Yield the grid, numbers and lines of a figure, or nothing if it has no lines."""
     if not figure.lines:
         return
     x, y = figure.axes(frame)
@@ -181,7 +181,7 @@ def laid_out(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
 
 
 def x_ticks(figure: Figure, frame: Frame) -> Iterator[Stroke | Label]:
-    """Yield the grid and the numbers of the x axis."""
+    """Yield the grid lines and the numbers of the x axis."""
     x, _ = figure.axes(frame)
     for tick in x.ticks(8 if figure.is_ground else 12):
         at, text = x.at(tick), f"{tick:.12g}" if figure.is_ground else f"{tick:.12g} s"

@@ -74,7 +74,7 @@ def drives_table(drives: Sequence[EndedDrive]) -> Markup:
 
 
 def moments_table(moments: Sequence[TracedMoment]) -> Markup:
-    """Return the table of moments, with links to their times in the plots."""
+    """Return a table of what happened and when, with links into the plots."""
     rows = [
         (
             tag("span", str(number), class_="number"),
@@ -185,7 +185,7 @@ def _number(value: float, unit: str) -> str:
 
 
 class Tone(StrEnum):
-    """The meaning of a verdict for the recording."""
+    """Whether a verdict on a recording is good, bad or undecided, for the page's colours."""
 
     GOOD = "good"
     UNSURE = "unsure"

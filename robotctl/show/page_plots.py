@@ -85,7 +85,7 @@ def plots_of(traces: Traces) -> list[TimePlot]:
 
 
 def time_plots(traces: Traces) -> Iterator[Markup]:
-    """Yield a band of modes and moments, then a captioned picture of each plot that has values."""
+    """Yield a time bar of modes and events, then a captioned picture of each plot with values."""
     if traces.modes or traces.moments:
         yield _mode_band(traces)
     for number, plot in enumerate(plots_of(traces), 1):
@@ -98,7 +98,7 @@ def time_plots(traces: Traces) -> Iterator[Markup]:
 
 
 def path_plot(traces: Traces) -> Markup | None:
-    """Return the plot of the driven and wanted paths with a legend, None without any path."""
+    """Return a map of the driven and reference paths with a legend, or None without any path."""
     figure, places = _path_figure(traces), traces.driven.whole()
     if not figure.lines:
         return None

@@ -35,7 +35,7 @@ STYLES: Final = {
 
 
 def write_path_png(file: Path, figure: Figure) -> None:
-    """Write a figure on the ground to a file, or replace the file.
+    """Write a map of paths on the ground to a PNG file, which is replaced if it exists.
 
     Raises:
         OSError: The file cannot be written.
@@ -50,7 +50,7 @@ def write_png(
     frame: Frame = TIME_FRAME,
     fine: float = TIME_FINE,
 ) -> None:
-    """Write the figures into one PNG; `fine` is the number of its pixels per pixel of `frame`."""
+    """Write the figures into one PNG, with `fine` pixels of the file per pixel of `frame`."""
     from PIL import Image, ImageDraw
 
     step = frame.height + TITLE_HEIGHT

@@ -26,14 +26,14 @@ GAP: Final = 10.0
 """Length of a pause that breaks the line, in median gaps between columns."""
 
 MAX_VALUE: Final = 1e15
-"""Larger values are left out."""
+"""Larger values are left out of a series, as are those that are not finite."""
 
 Sample = tuple[float, float]
 """A time [s] and a value."""
 
 
 class SeriesColumn(NamedTuple):
-    """One column of a plot, with least, largest, first and last value."""
+    """The first, last, least and largest value in one time span of a plot, with its two ends."""
 
     begin_s: float
     first: float
@@ -44,7 +44,7 @@ class SeriesColumn(NamedTuple):
 
 
 class Series:
-    """Values over time in the COLUMNS of a plot; `odd` counts the values that are left out."""
+    """Values over time, reduced to COLUMNS time spans; `odd` counts the values left out."""
 
     def __init__(self, duration_s: float) -> None:
         self.count = 0
@@ -53,7 +53,7 @@ class Series:
         self._columns: dict[int, SeriesColumn] = {}
 
     def add(self, t_s: float, value: float) -> None:
-        """Add the `value` at the time `t_s` [s], in the order of time."""
+        """Add a value at the time `t_s` [s]. Values come in the order of time."""
         if not (isfinite(value) and abs(value) <= MAX_VALUE):
             self.odd += 1
             return
@@ -68,7 +68,7 @@ class Series:
 
     @property
     def columns(self) -> list[SeriesColumn]:
-        """The columns with values, in the order of time."""
+        """The time spans that contain values, in the order of time."""
         return [self._columns[place] for place in sorted(self._columns)]
 
     @property
@@ -82,7 +82,7 @@ class Series:
         return max((column.most for column in self._columns.values()), default=None)
 
     def lines(self) -> Iterator[list[Sample]]:
-        """Yield the points of each unbroken line."""
+        """Yield the points of each line. A long pause between values begins a new line."""
         columns = self.columns
         if not columns:
             return
@@ -131,7 +131,7 @@ class DrivenPlace(NamedTuple):
 
 
 class ThinnedPath:
-    """The path of a robot as at most MAX_PLACES places."""
+    """The path of a robot, thinned out to at most MAX_PLACES positions."""
 
     def __init__(self) -> None:
         self.places: list[DrivenPlace] = []
@@ -139,7 +139,7 @@ class ThinnedPath:
         self._last: DrivenPlace | None = None
 
     def add(self, t_s: float, x: float, y: float) -> None:
-        """Add a position [m] that is possible and far enough from the last place."""
+        """Add a position [m]. Ignore it if it is not plausible or close to the last one kept."""
         if not is_on_earth(x, y):
             return
         self._last = DrivenPlace(t_s, x, y)
@@ -153,7 +153,7 @@ class ThinnedPath:
             self._spacing_m *= 2.0
 
     def whole(self) -> list[DrivenPlace]:
-        """Return the places and the last position of the robot."""
+        """Return the kept positions of the path, always including the robot's last one."""
         ends = self._last is not None and self._last != self.places[-1]
         return [*self.places, self._last] if ends and self._last is not None else self.places
 
@@ -175,12 +175,12 @@ class FieldSeries:
     absent: int = 0
 
     def figure(self, duration_s: float) -> Figure:
-        """Return a figure of the field over time, without a line if there are no values."""
+        """Return a figure of the field over time. It has no line if there are no values."""
         return time_figure(self.path, [Line(list(self.series.lines()), "command")], duration_s)
 
 
 def number_fields(topic: TopicInfo, paths: Sequence[str]) -> list[FieldPath]:
-    """Return the number fields at `paths`, for a message all its numbers.
+    """Return the numeric fields at `paths`. A path to a nested message means all its numbers.
 
     Raises:
         UsageError: A path leads to no number, no path is given, or there are too many numbers.

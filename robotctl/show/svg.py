@@ -45,7 +45,7 @@ def tag(name: str, /, *content: Content, **attributes: Content) -> Markup:
 
 
 def joined(*content: Content) -> Markup:
-    """Join the parts to one markup, with text escaped."""
+    """Join the parts into one piece of markup, with text escaped."""
     return Markup("".join(map(_text, content)))
 
 
@@ -95,7 +95,7 @@ text.title{font-weight:600;font-size:13px;fill:#1c2430}.grid{stroke:#e8edf2;fill
 def drawing(
     figure: Figure, frame: Frame, *over: Content, class_: str = "", **attributes: Content
 ) -> Markup:
-    """Return a figure as an `<svg>` element, with `over` on top."""
+    """Return a figure as an `<svg>` element, with the elements `over` drawn above it."""
     return tag(
         "svg",
         *map(element, laid_out(figure, frame)),
@@ -130,7 +130,7 @@ def figures_svg(figures: Sequence[Figure]) -> str:
 
 
 def element(piece: Stroke | Label) -> Markup:
-    """Return a stroke or a label as an SVG element."""
+    """Return a part of a figure, a line or a text, as an SVG element."""
     if isinstance(piece, Label):
         kind = "tick last" if piece.kind == "tick" and piece.is_end else piece.kind
         return tag("text", piece.text, x=piece.x, y=piece.y + BASELINE_PX, class_=kind)

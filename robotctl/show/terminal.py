@@ -54,7 +54,7 @@ class _Canvas:
 
 
 def ground_lines(figure: Figure, *, rows: int = 18, colour: bool = False) -> list[str]:
-    """Return a figure on the ground in at most `rows` lines, plus two for the x axis in metres."""
+    """Return a map as at most `rows` lines of text, plus two for the x axis in metres."""
     (left, right), (bottom, top) = figure.x, figure.y
     dots_per_m = (rows * DOTS_DOWN - 1) / max(right - left, top - bottom)
     across = int((right - left) * dots_per_m) // DOTS_ACROSS + 1
@@ -90,7 +90,7 @@ def ground_lines(figure: Figure, *, rows: int = 18, colour: bool = False) -> lis
 def time_lines(
     figure: Figure, *, width: int, rows: int, colour: bool, ascii_only: bool
 ) -> Iterator[str]:
-    """Yield the figure in `rows` lines, then the time axis, nothing for an empty figure."""
+    """Yield a figure as `rows` lines of text and a time axis, or nothing if it has no lines."""
     if not figure.lines:
         return
     across = max(width - LABEL - 1, 10)

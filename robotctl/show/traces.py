@@ -64,7 +64,7 @@ Point = tuple[float, float]
 
 @dataclass(slots=True)
 class ModeSpan:
-    """A time span in one mode; `reason` is that of the change to this mode."""
+    """A time span in which the robot was in one mode; `reason` says why it entered the mode."""
 
     begin_s: float
     end_s: float
@@ -91,7 +91,7 @@ class EndedDrive:
 
 
 class Rates:
-    """Per topic, the messages in each of RATE_COLUMNS spans of time, and the longest pause."""
+    """The message counts of each topic in RATE_COLUMNS equal time spans, and its longest pause."""
 
     def __init__(self, duration_s: float) -> None:
         self.counts: dict[str, list[int]] = {}
@@ -139,7 +139,7 @@ class Traces:
             self.modes.append(ModeSpan(t_s, t_s, mode, reason))
 
     def happened(self, t_s: float, kind: str, text: str) -> None:
-        """Add a moment at `t_s`; after MAX_MOMENTS, count it as left out."""
+        """Add something that happened at `t_s`; after MAX_MOMENTS, only count it as left out."""
         if self._has_room(self.moments, MAX_MOMENTS):
             self.moments.append(TracedMoment(t_s, kind, text))
 
@@ -149,7 +149,7 @@ class Traces:
             self.drives.append(drive)
 
     def want(self, outline: list[Point]) -> None:
-        """Add a wanted path, or count an empty, too long or impossible one as left out."""
+        """Add a reference path as its outline, or only count it if it is invalid or too long."""
         has_room = sum(map(len, self.wanted)) + len(outline) <= MAX_WANTED_POINTS
         if outline and has_room and all(is_on_earth(x, y) for x, y in outline):
             self.wanted.append(outline)
@@ -162,7 +162,7 @@ class Traces:
             self.modes[-1].end_s = max(self.duration_s, self.modes[-1].begin_s)
 
     def series(self) -> Iterator[Series]:
-        """Yield every series."""
+        """Yield each series of values that the plots show, such as speed and battery level."""
         yield from (self.commanded_linear, self.linear, self.commanded_angular, self.angular)
         yield from (self.error, self.battery, self.lateness)
 
@@ -179,7 +179,7 @@ MS_PER_NS: Final = 1e-6
 class JournalTraces:
     """Fills traces from the entries of a journal, in their order.
 
-    After missing entries, the values that a kernel computes continue at the next snapshot.
+    A kernel that replays the entries computes some values; after a gap it awaits a snapshot.
     """
 
     def __init__(self, traces: Traces) -> None:
@@ -300,7 +300,7 @@ Taker = Callable[[Traces, float, bytes], None]
 
 
 def topic_takers(topics: Sequence[TopicInfo]) -> dict[tuple[str, str], Taker]:
-    """Return the takers for one topic each of odometry, commands and battery, by name and type."""
+    """Map the busiest odometry, command and battery topic to the function that reads it."""
     takers: dict[tuple[str, str], Taker] = {}
     kinds: tuple[dict[str, Taker], ...] = (
         {ODOMETRY: _take_odometry},
@@ -406,7 +406,7 @@ def read_recorded(
 
 @dataclass(frozen=True, slots=True)
 class KeyFigure:
-    """A number that sums up a recording, such as its duration."""
+    """A number that summarizes a recording, such as its duration."""
 
     key: str
     """The key of the figure in `--json`."""

@@ -101,10 +101,11 @@ def drive(
     then: Iterable[Event] = (),
     closed: bool = True,
 ) -> list[Written]:
-    """Return the journal entries and commands of a daemon in `seconds` of a simulated drive.
+    """Return the journal entries and commands that a daemon writes in a drive of `seconds`.
 
-    The kernel first handles `requests`, by default one `drive_requested()`, and at the end `then`.
-    If `closed` is False, the last snapshot is missing, as if the daemon had been killed.
+    The robot is simulated. `requests` are events given to the kernel at the start, by default one
+    request to drive a square. `then` are events given to it at the end. If `closed` is False, the
+    final snapshot of the kernel's state is missing, as if the daemon had been killed.
     """
     config = config or Config()
     asked = [drive_requested()] if requests is None else requests
@@ -119,7 +120,8 @@ def journaled(
 ) -> Iterator[Written]:
     """Yield the journal entries and commands that a daemon writes for `steps` of a kernel.
 
-    Snapshots are at `snapshots_ns`; the last items are a fault DAEMON_ENDS and a snapshot.
+    Snapshots of the kernel's state are written at the times `snapshots_ns`. The last entries are
+    the event of the daemon's end (a fault with cause DAEMON_ENDS) and a final snapshot.
     """
     written: list[Written] = []
     commands = 0
@@ -172,10 +174,10 @@ def record(
     clock: Callable[[int], int] = lambda time_ns: time_ns,
     beside: Callable[[Recorder, int], None] = lambda recorder, time_ns: None,
 ) -> Path:
-    """Make a recording in `folder`, and return the folder.
+    """Make a recording of the items `written` in `folder`, and return the folder.
 
-    `clock` maps the log times, which follow the journal, to wall-clock times. `beside(recorder,
-    time_ns)` is called before each item, and may record more.
+    Log times follow the journal; `clock` converts them to wall-clock times. Before each item,
+    `beside(recorder, time_ns)` is called, and may record further messages.
     """
     parameters = {f"{PARAMETER_PREFIX}{key}": str(v) for key, v in flat(config or Config()).items()}
     recorder = Recorder(

@@ -18,9 +18,9 @@ PAGE = 4096
 
 
 class FailingFile(DiskFile):
-    """A disk that is full from write number `fail_at` (counted from 1) on.
+    """A file whose disk is full from write number `fail_at` (counted from 1) on.
 
-    Each write that needs new space then fails, after `torn_bytes` of its data are in the file.
+    A write that needs new space then fails after it has written `torn_bytes` of its data.
     """
 
     def __init__(
@@ -39,11 +39,7 @@ class FailingFile(DiskFile):
         self._writes_left = 0
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
-        """Write all parts.
-
-        Raises:
-            OSError: The disk is full; some of the data was written.
-        """
+        """Write all parts. If the disk is full, write only `torn_bytes` and raise OSError."""
         data = b"".join(bytes(part) for part in parts)
         end = offset + len(data)
         takes_room = end > len(self._held) or 0 in self._held[offset:end]
@@ -60,7 +56,7 @@ class FailingFile(DiskFile):
 
 
 class GatedFile(DiskFile):
-    """A disk that calls `wait` before each write."""
+    """A file on disk that calls the function `wait` before each write, to delay the writer."""
 
     def __init__(self, path: Path, wait: Callable[[], object]) -> None:
         """Create `path`."""
@@ -68,13 +64,13 @@ class GatedFile(DiskFile):
         self._wait = wait
 
     def write_at(self, parts: Sequence[Buffer], offset: int) -> None:
-        """Call `wait`, then write."""
+        """Call the function `wait` given at creation, then write the data to the file."""
         self._wait()
         super().write_at(parts, offset)
 
 
 class VolatileFile(DiskFile):
-    """A disk with a cache; a power cut may lose unsynced data."""
+    """A file on a disk with a cache, whose unsynced data a power cut may lose."""
 
     def __init__(self, path: Path) -> None:
         """Create `path`."""

@@ -42,7 +42,10 @@ _HEADER = struct.pack("<4siII1s3x", ENCAPSULATION, 0, 0, 1, b"\0")
 
 
 def safety_message(kind: SafetyInput, value: float, detail: str = "") -> bytes:
-    """Return a message of `kind`, b"" for NaN; `detail` is a diagnostic as NAME: TEXT."""
+    """Return the serialized message of the safety input `kind` with `value`, or b"" for NaN.
+
+    For DIAGNOSTICS, `value` is the level, and `detail` the name and message as NAME: TEXT.
+    """
     if isnan(value):
         return b""
     if kind is SafetyInput.JOY:
@@ -81,9 +84,9 @@ def _scan(sectors: tuple[float, ...]) -> bytes:
 
 
 class HearingKernel(Kernel):
-    """A kernel that gets each input as a serialized, numbered message.
+    """A kernel whose inputs pass through serialized ROS messages, as in a daemon.
 
-    `heard` is the last event; `messages` maps (topic, number) to a message.
+    `heard` is the last event. `messages` maps (topic, sequence number) to a serialized message.
     """
 
     def __init__(self, config: Config) -> None:
@@ -95,7 +98,7 @@ class HearingKernel(Kernel):
         self._counts = Counter[str]()
 
     def step(self, event: Event) -> tuple[Effect, ...]:
-        """Decide on `event`; serialize and number the message of an input first."""
+        """Return the effects of `event`, after an input was serialized, numbered and read back."""
         if isinstance(event, OdomReceived):
             sample = event.odometry
             data = self._odometry_encoder.encode(sample.pose, sample.velocity, sample.stamp_ns)

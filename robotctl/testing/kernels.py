@@ -40,7 +40,7 @@ MOST_TURNS = 1000
 
 
 class Bench:
-    """A kernel and its clock; `events` and `effects` keep everything."""
+    """A kernel under test with a virtual clock, and all its events and effects so far."""
 
     def __init__(self, params: KernelParams | None = None, state: State | None = None) -> None:
         self.kernel = Kernel(params or KernelParams(), state)
@@ -76,7 +76,7 @@ class Bench:
         return self.give(Tick(self.t_ns))
 
     def run(self, ticks: int) -> None:
-        """Run `ticks` ticks with a healthy robot that does not move."""
+        """Run `ticks` control ticks with a healthy robot that stands still."""
         for _ in range(ticks):
             odometry = self.state.health.odometry
             self.odometry(ORIGIN if odometry is None else odometry.pose)
@@ -100,14 +100,14 @@ class Bench:
         replacing: bool = False,
         course: Course = PLAIN,
     ) -> tuple[Effect, ...]:
-        """Request a drive."""
+        """Request a drive of `pattern`, and return the kernel's effects."""
         number, pattern = self.new_request_id(), pattern or Pattern()
         event = DriveRequested(self.t_ns, number, pattern, laps, replacing, "test", course=course)
         return self.give(event)
 
     @property
     def replies(self) -> list[Reply]:
-        """All replies so far."""
+        """All replies of the kernel to requests so far."""
         return [effect for effect in self.effects if isinstance(effect, Reply)]
 
     @property
@@ -117,14 +117,14 @@ class Bench:
 
 
 def ready(params: KernelParams | None = None) -> Bench:
-    """Return a bench in IDLE that fulfils all start conditions."""
+    """Return a test bench (`Bench`) in mode IDLE that fulfils all conditions to start moving."""
     bench = Bench(params)
     bench.run(3)
     return bench
 
 
 def moving(params: KernelParams | None = None, ticks: int = 10) -> Bench:
-    """Return a bench that has been MOVING for a number of ticks."""
+    """Return a test bench (`Bench`) that has been in mode MOVING for `ticks` control ticks."""
     bench = ready(params)
     bench.request(Mode.MOVING)
     bench.run(ticks)
@@ -133,7 +133,7 @@ def moving(params: KernelParams | None = None, ticks: int = 10) -> Bench:
 
 
 def stopping() -> Bench:
-    """Return a bench in MOVING that ramps down."""
+    """Return a test bench (`Bench`) in mode MOVING whose robot is ramping down to zero velocity."""
     bench = moving()
     bench.request(Mode.IDLE)
     assert bench.state.phase is Phase.STOPPING
@@ -141,7 +141,7 @@ def stopping() -> Bench:
 
 
 def in_mode(mode: Mode) -> Bench:
-    """Return a healthy bench in `mode`, entered by a request."""
+    """Return a test bench (`Bench`) with a healthy robot, whose `mode` was entered by a request."""
     if mode is Mode.MOVING:
         return moving()
     bench = ready()
@@ -183,7 +183,7 @@ def while_moving(bench: Bench) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """A simulated drive; `pose` is the last pose by odometry."""
+    """The result of a simulated drive; `pose` is the last pose that odometry reported."""
 
     ended: DriveEnded
     duration_s: float

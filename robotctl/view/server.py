@@ -40,7 +40,7 @@ DEFAULT_PORT: Final = 8765
 
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens on `port`; None means DEFAULT_PORT or else a free port.
+    """Return a socket that listens on `port` or, if that is None, on DEFAULT_PORT or a free port.
 
     Raises:
         Refused: The host has no address, or the socket cannot listen on it.
@@ -145,7 +145,7 @@ class ViewServer:
     # The life of the server
 
     async def listen(self, host: str, port: int | None) -> int:
-        """Listen as `listening_socket` does, and return the port.
+        """Listen on `port`, or if that is None on DEFAULT_PORT or a free port. Return the port.
 
         Raises:
             Refused: The server cannot listen on the address.
@@ -247,11 +247,7 @@ class ViewServer:
         self._viewers.discard(viewer)
 
     def request(self, viewer: Viewer, request: ViewRequest) -> None:
-        """Carry out a request of a viewer.
-
-        Raises:
-            WrongRequest: The request cannot be carried out.
-        """
+        """Carry out a request of a viewer, or raise WrongRequest if that is impossible."""
         if viewer not in self._viewers:
             return  # its connection is being closed
         match request:

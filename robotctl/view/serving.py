@@ -60,9 +60,9 @@ _WILDCARDS: Final = ("0.0.0.0", "::")
 
 
 async def serve(job: ViewJob, report: Report, at_end: ExitStack) -> None:
-    """Serve a view until a signal, the daemon's end or closed stdin.
+    """Serve a live view until a signal, the daemon's end or closed stdin.
 
-    The caller closes `at_end` afterwards to leave the ROS domain.
+    Afterwards, the caller must close the stack `at_end`, which leaves the ROS domain.
 
     Raises:
         RobotctlError: The view cannot be served.

@@ -56,7 +56,7 @@ class Admission:
     """Checks the first request of a connection."""
 
     def __init__(self, token: str, origins: Iterable[str] = (), host: str = "localhost") -> None:
-        """Allow `origins` in addition to KNOWN_ORIGINS, and `host` to this computer's names."""
+        """Allow KNOWN_ORIGINS and `origins`, and the host names of this computer and `host`."""
         self._token = token.encode()
         self._own_names = {"localhost", socket.gethostname().lower(), host.lower()}
         self._origins = {*KNOWN_ORIGINS, *origins}
@@ -121,7 +121,7 @@ class OverfullOutbox(Exception):
 
 
 class Outbox:
-    """Queues frames. Offers, notes and answers go first, then small messages, then large ones."""
+    """A send queue: first offers, notes and answers, then small messages, then large ones."""
 
     def __init__(self) -> None:
         self._control: deque[bytes] = deque()
@@ -246,7 +246,7 @@ class ViewerHost(Protocol):
 
 
 class Viewer(asyncio.Protocol):
-    """A connection, which passes requests to the server and sends its queue."""
+    """The connection of one viewer. It passes requests to the server and sends queued frames."""
 
     def __init__(self, host: ViewerHost, admission: Admission) -> None:
         self.outbox = Outbox()
@@ -303,25 +303,25 @@ class Viewer(asyncio.Protocol):
         self.since_s = time.monotonic()
 
     def resume_writing(self) -> None:
-        """Schedule `flush`."""
+        """Continue to send, in the next loop iteration: the socket accepts data again."""
         self.is_stalled = False
         # Not at once: a transport that is closed within this call would be ended twice.
         asyncio.get_running_loop().call_soon(self.flush)
 
     def data_received(self, data: bytes) -> None:
-        """Parse bytes of the handshake, or of messages."""
+        """Parse received bytes of the handshake or of requests, and carry these out."""
         self._websocket.receive_data(data)
         self._take_events()
 
     def eof_received(self) -> None:
-        """Note the end of the stream."""
+        """Handle the end of the bytes from the viewer."""
         self._websocket.receive_eof()
         self._take_events()
 
     # From the server
 
     def tell(self, message: str | bytes) -> None:
-        """Send an offer, a note or an answer; disconnect if too many wait."""
+        """Send a channel offer, a note or an answer. Disconnect if too many bytes wait."""
         kind, data = (TEXT, message.encode()) if isinstance(message, str) else (BINARY, message)
         try:
             self.outbox.put_control(frame_head(kind, len(data)) + data)

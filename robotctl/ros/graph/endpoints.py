@@ -23,7 +23,7 @@ from robotctl.ros.graph.rcl_graph import Gid, Role, checked, escaped, function
 
 
 def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
-    """Return full topic name -> types, with `dds_names` as in DDS and not as in ROS.
+    """Map the full name of each discovered topic to its types. `dds_names` chooses DDS names.
 
     Bytes that are not UTF-8 become surrogate escapes in a name, and backslash escapes in a type.
     """
@@ -39,12 +39,12 @@ def topics(node: Node, *, dds_names: bool = False) -> dict[str, list[str]]:
 
 
 def publishers(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the publishers of `topic`, a name from `topics`."""
+    """Return the publishers of `topic`, a full name in the form that `topics()` returns."""
     return _endpoints(node, Role.PUBLISHER, topic, dds_names)
 
 
 def subscriptions(node: Node, topic: str, *, dds_names: bool = False) -> list[Endpoint]:
-    """Return the subscriptions to `topic`, a name from `topics`."""
+    """Return the subscriptions to `topic`, a full name in the form that `topics()` returns."""
     return _endpoints(node, Role.SUBSCRIPTION, topic, dds_names)
 
 
@@ -62,7 +62,7 @@ def subscription_count(node: Node, topic: str) -> int:
 
 
 def node_names(node: Node) -> list[str]:
-    """Return the full name of each discovered node. A name of two nodes is listed twice."""
+    """Return the full name of each discovered node. A name that two nodes share comes twice."""
     with node.handle:
         found = rcl_graph.node_names(node.handle.pointer)
     return [f"{escaped(space).rstrip('/')}/{escaped(name)}" for name, space in found]
@@ -132,7 +132,7 @@ def gid_of(publisher: Publisher) -> bytes:
 
 
 def publisher_names(node: Node, topic: str) -> dict[bytes, str]:
-    """Return gid -> full name of the node, "" if unknown, for each publisher of `topic`."""
+    """Map the gid of each publisher of `topic` to its node's full name, "" if unknown."""
     return {each.gid: full_name(each) for each in publishers(node, topic)}
 
 
@@ -158,7 +158,7 @@ def full_name(endpoint: Endpoint) -> str:
 
 
 def shown_name(endpoint: Endpoint) -> str:
-    """Return the full name of an endpoint's node for a message, cut to MAX_NAME characters."""
+    """Return the full name of an endpoint's node, shortened, or a phrase if it is unknown."""
     return short_name(full_name(endpoint)) or "a node whose name is not known yet"
 
 
@@ -172,7 +172,8 @@ _REQUEST_TYPE = re.compile(r"(\w+)::srv::dds_::(\w+)_Request_|(\w+)::action::dds
 def overview(node: Node) -> dict[str, Any]:
     """Return the names of all topics and services with their types, and the names of all nodes.
 
-    The nodes of robotctl's own look-ups are missing. `left_out` counts the names above MAX_NAMES.
+    Temporary nodes of robotctl's own commands are not listed. `left_out` counts the names that
+    exceed MAX_NAMES.
     """
     found: dict[str, list[Any]] = {
         "topics": _typed(topics(node)),

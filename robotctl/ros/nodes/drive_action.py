@@ -48,7 +48,7 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class DriveProgress:
-    """The progress of a drive."""
+    """How far a drive has come, for the feedback of its action goal."""
 
     distance_m: float
     laps: int
@@ -58,7 +58,7 @@ class DriveProgress:
 
 @dataclass(frozen=True, slots=True)
 class GoalDrive:
-    """The drive of one goal."""
+    """The handle of the drive that one action goal has requested."""
 
     reply: asyncio.Future[Reply]
     """The kernel's reply to the request for the drive."""

@@ -48,14 +48,14 @@ def report_values(
 def report_battery(
     session: Session, topic: str, on_level: Callable[[float, str, int], None]
 ) -> Subscription:
-    """Report each battery level as published, NaN if it is unreadable, as `report_values` does."""
+    """Call `on_level(level, publisher, sequence)` for each battery message; NaN if unreadable."""
     return report_values(session, BatteryState, topic, read_battery_level, on_level)
 
 
 def report_scans(
     session: Session, topic: str, on_scan: Callable[[tuple[float, ...], str, int], None]
 ) -> Subscription:
-    """Call `on_scan` with the nearest range [m] in each sector of a scan, () if it is malformed."""
+    """Call `on_scan` for each scan with the nearest range [m] per sector, () if it is malformed."""
     return report_values(session, LaserScan, topic, read_sectors, on_scan)
 
 

@@ -42,7 +42,7 @@ NODE_NAME = "mode_service"
 
 
 def names(session: Session) -> dict[str, str]:
-    """Return full ROS names by "topic.NAME" and "service.NAME", even before they exist on ROS."""
+    """Map "topic.robot_status", "service.set_mode" and "service.estop" to their full ROS names."""
     return {
         "topic.robot_status": session.resolve(STATUS.name, NODE_NAME),
         **{f"service.{name}": session.resolve(name, NODE_NAME) for name in (SET_MODE, ESTOP)},

@@ -44,7 +44,7 @@ Returns the reason for a refusal, or "".
 
 
 class ParameterServices(ParameterService):
-    """The six parameter services of a node. `ask` sets or refuses new values."""
+    """The six parameter services of a node. The function `ask` applies or refuses new values."""
 
     # rclpy checks types, ranges and read-only parameters of a request before `ask`.
     def __init__(self, node: Node, values: Sequence[tuple[Declaration, Any]], ask: Ask) -> None:
@@ -71,7 +71,7 @@ class ParameterServices(ParameterService):
             )
 
     def show(self, key: str, value: Any) -> None:
-        """Set the node's parameter `key`, if it exists, to the daemon's present `value`."""
+        """Update the node's parameter `key`, if it exists, to the daemon's present `value`."""
         if key not in self._keys or self._asking:  # rclpy stores accepted values itself
             return
         self._showing = True

@@ -115,7 +115,7 @@ class OdomSubscriber:
         self._on_source(self._sources[gid], gid.hex(), name, frame)
 
     def find_names(self) -> None:
-        """Look again for the unknown nodes of publishers, and report each node found."""
+        """Look up the node names of publishers that had none yet, and report each name found."""
         if not self._nameless:
             return
         names = publisher_names(self._node, self.topic)

@@ -37,7 +37,7 @@ class CommandLock:
         self._publisher = own.create_publisher(node) if topic else None
 
     def show(self, mode: Mode) -> None:
-        """Publish True if `mode` is one of LOCKING, False otherwise."""
+        """Publish True if `mode` is ERROR or EMERGENCY_STOP, False otherwise."""
         if self._publisher is not None:
             self._publisher.publish(Bool(data=mode in LOCKING))
 
@@ -156,7 +156,7 @@ class RosoutPublisher:
         self._publisher = ROSOUT_TOPIC.create_publisher(session.helper())
 
     def publish(self, record: logging.LogRecord, level: int, logger: str, text: str) -> None:
-        """Publish the `text` of a record with the `level` and the name `logger` of ROS.
+        """Publish a log record as a ROS Log message with this level, logger name and text.
 
         Raises:
             Exception: A field of `record` has a wrong type or value, or the middleware failed.

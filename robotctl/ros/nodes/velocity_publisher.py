@@ -48,8 +48,8 @@ def publishing_line(twist: Twist) -> str:
 class VelocityPublisher:
     """Node `velocity_publisher`, which sends the velocity commands.
 
-    Any thread may call `close_gate` and `publish_zero`. One command may still pass after
-    `close_gate`. After the next `publish_zero`, only zeros are sent until `open_gate`.
+    While its gate is closed, zeros replace the commands. Any thread may call `close_gate` and
+    `publish_zero`. One command may still pass after `close_gate`, none after `publish_zero`.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class VelocityPublisher:
         return node_of(self._node, self.topic, gid)
 
     def publish(self, twist: Twist) -> None:
-        """Send the command, or zero while the gate is closed."""
+        """Send the velocity command, or zero velocity while the gate is closed."""
         with self._lock:
             if self._gated:
                 self._withheld += twist != ZERO
@@ -111,10 +111,12 @@ class VelocityPublisher:
             self._log.debug(publishing_line(twist))
 
     def publish_zero(self) -> None:
-        """Send a zero if the gate is closed and `is_silent()` is false. Not for the loop's thread.
+        """Send zero velocity if the gate is closed and `is_silent()` is false.
+
+        Call it in any thread but the loop's.
 
         Raises:
-            TimeoutError: `publish`, in the loop's thread, hangs in the middleware.
+            TimeoutError: A `publish` in the loop's thread hangs in the middleware.
         """
         if not self._lock.acquire(timeout=LOCK_TIMEOUT_S):
             raise TimeoutError("a publication of the loop hangs in the middleware")
@@ -131,13 +133,13 @@ class VelocityPublisher:
         return bool(self._publisher.wait_for_all_acked(Duration()))
 
     def close_gate(self) -> None:
-        """Send zeros instead of commands from now on."""
+        """Close the gate: send zero velocity instead of the commands until `open_gate`."""
         self._gated = True
 
     def open_gate(self) -> tuple[int, int]:
-        """Send commands again, and return (zeros of `publish_zero`, commands replaced by zero).
+        """Open the gate, so that commands are sent again. Return two counts since the last call.
 
-        Both count since the last `open_gate`.
+        They are the zeros that `publish_zero` sent, and the commands that zero has replaced.
         """
         with self._lock:
             self._gated = False

@@ -37,7 +37,7 @@ class TopicWatcher(Protocol):
         """Remove a topic that has no publisher of its type any more."""
 
     def unusable(self, topic: str, problem: str) -> None:
-        """Report the `problem` with showing `topic`, or "" when it has ended."""
+        """Report why `topic` cannot be shown; a `problem` of "" means that it can be again."""
 
 
 class OnDemandTap:
@@ -63,9 +63,9 @@ class OnDemandTap:
                 await changes.wait(0.0 if is_loading else CALM_S)
 
     def want(self, topic: str, sink: ViewSink) -> None:
-        """Subscribe to a topic that has appeared. Its messages go to `sink`, latched ones first.
+        """Subscribe to a reported topic, and pass its messages to `sink`, latched ones first.
 
-        If the topic already has a sink and no latched messages, `sink` is ignored.
+        If the topic is subscribed already, subscribe again for its latched messages, if it has any.
         """
         if topic in self._tapped and not self._tapped[topic].is_latched:
             return

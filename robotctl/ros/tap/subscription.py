@@ -29,13 +29,13 @@ MAX_GAPS = 32
 
 @dataclass(slots=True)
 class Delivered:
-    """The messages of one publisher that reached the sink: up to `last`, without `gaps`."""
+    """Which sequence numbers of one publisher were delivered: all up to `last` except `gaps`."""
 
     last: int = 0
     gaps: list[range] = field(default_factory=list)
 
     def add(self, sequence: int) -> bool:
-        """Add a message, and return whether it is new."""
+        """Mark a sequence number as delivered, and return whether it is new."""
         if sequence > self.last:
             if sequence > self.last + 1:
                 self.gaps = [*self.gaps, range(self.last + 1, sequence)][-MAX_GAPS:]
@@ -50,7 +50,7 @@ class Delivered:
 
 
 class LatchedMerge:
-    """A sink that passes each message on once, or always if its sequence number is 0."""
+    """Removes repeated messages before a sink. Messages with sequence number 0 always pass."""
 
     def __init__(self, sink: ViewSink) -> None:
         self._sink = sink
@@ -70,7 +70,7 @@ class LatchedMerge:
 
 
 def offered_types(node: Node, topic: str) -> dict[str, list[QoSProfile]]:
-    """Return type -> QoS profiles of the topic's publishers, the most frequent type first."""
+    """Map each published type of a topic to its publishers' QoS, the most frequent type first."""
     found: dict[str, list[QoSProfile]] = {}
     for info in endpoints.publishers(node, topic):
         found.setdefault(info.topic_type, []).append(info.qos_profile)
@@ -85,7 +85,7 @@ Requests = tuple[QoSProfile, QoSProfile | None]
 
 
 class TappedSubscription:
-    """Passes the messages of one topic to its sink, until `close`."""
+    """Passes the messages of one topic to the function `sink`, until `close`."""
 
     def __init__(
         self,
@@ -212,7 +212,7 @@ class TypeLoader:
         return since_s is not None and time.monotonic() - since_s > SLOW_LOAD_S
 
     async def pause(self, at_most_s: float) -> None:
-        """Sleep for `at_most_s` seconds, or until a load ends and no type waits."""
+        """Sleep for `at_most_s` seconds, or less if a load ends and no other type waits for one."""
         self._all_loaded.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(at_most_s):

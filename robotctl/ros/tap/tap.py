@@ -37,7 +37,7 @@ MAX_SAID: Final = 1_000
 
 
 class Sentences:
-    """Keeps a sentence for each topic with a problem, and logs each sentence once."""
+    """Keeps the sentence that describes each topic's problem, and logs each sentence once."""
 
     def __init__(self, most: int, more: str) -> None:
         """Limit `warnings` to `most` sentences and "N more topics" with the text `more`."""
@@ -47,12 +47,12 @@ class Sentences:
         self._logged = 0
 
     def note(self, topic: str, sentence: str) -> None:
-        """Set the sentence about a topic until `clear`."""
+        """Keep the sentence that describes a topic's problem, and log it if it is new."""
         self.by_topic[topic] = sentence
         self.say(sentence)
 
     def clear(self, topics: Iterable[str]) -> None:
-        """Remove the sentences about `topics`."""
+        """Remove the sentences about `topics`, whose problems have ended."""
         for topic in topics:
             self.by_topic.pop(topic, None)
 
@@ -145,7 +145,7 @@ class Unrecorded(Sentences):
         self.say(self._last_missed)
 
     def warnings(self) -> Iterator[str]:
-        """Yield the sentences about topics, and a last one on the topics of `miss`."""
+        """Yield the sentences about topics, then one on topics that came and went unrecorded."""
         yield from super().warnings()
         if self._missed:
             others = f" (and {self._missed - 1} other topics)" if self._missed > 1 else ""
@@ -208,7 +208,7 @@ class Tap:
         open_sink: Callable[[TopicDescription], ViewSink],
         wanted: Callable[[str, str], bool] = lambda topic, type_name: True,
     ) -> None:
-        """Call `open_sink` for the sink of each new topic with a true `wanted(topic, type)`."""
+        """Subscribe to topics with true `wanted(topic, type)`; `open_sink` returns their sinks."""
         self.node = session.helper()
         """The hidden node with all subscriptions of the tap."""
 
@@ -245,14 +245,14 @@ class Tap:
                     looks_left = LOOKS_PER_INSPECTION
 
     def subscribe_own(self, topic: OwnTopic) -> None:
-        """Subscribe to one of robotctl's own topics, if wanted, before its publisher exists."""
+        """Subscribe to a wanted topic of robotctl itself, even before its publisher exists."""
         name = self._resolve(topic.name)
         if self._wanted(name, topic.type_name):
             self._own.add(name)
             self._subscribe(name, topic.type_name, [topic.qos])
 
     def reserve(self, topic: OwnTopic) -> ViewSink:
-        """Exclude a topic from subscription. Return its sink, for writing to it directly."""
+        """Exclude a topic from subscription. Return its sink, a function that accepts messages."""
         name = self._resolve(topic.name)
         self._reserved.add(name)
         return self._open_sink(describe(name, topic.type_name, [topic.qos]))
