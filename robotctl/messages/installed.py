@@ -54,7 +54,7 @@ class TypeName(NamedTuple):
 
 
 def parse_type_name(type_name: str) -> TypeName:
-    """Return the parts of `type_name`.
+    """Return `type_name` split into package, kind and name.
 
     Raises:
         UnusableType: ROS does not allow the name.
@@ -129,7 +129,7 @@ def _file(package: str, kind: str, name: str) -> str:
 
 
 def installed_name(type_name: str) -> TypeName:
-    """Return the parts of `type_name`, the name of an installed type.
+    """Return `type_name` split into package, kind and name, if the type is installed.
 
     Raises:
         UnusableType: ROS does not allow the name, or the type is not installed.

@@ -36,7 +36,7 @@ class Decoder:
         """The path of each column of `row`."""
 
     def row(self, data: bytes) -> list[Any]:
-        """Return the value of each column.
+        """Return the values of the message `data`, one for each of `columns`.
 
         Raises:
             struct.error: The message is cut short, or not in plain CDR.

@@ -69,7 +69,7 @@ _MESSAGES: Final = "SELECT topic_id, timestamp, data FROM messages ORDER BY time
 class SqliteSource:
     """Reader of a .db3 file of rosbag2, with the interface of `ReadableFile`.
 
-    The only time of a message becomes both log time and publish time.
+    A .db3 file has one time per message, which becomes both log time and publish time.
     """
 
     profile = PROFILE
@@ -309,7 +309,7 @@ _MAX_CHARACTERS: Final = 1 << 16
 
 
 def named_policies(profiles: str) -> str:
-    """Return `profiles` with policies by name; text that is no YAML list of QoS stays unchanged."""
+    """Return a YAML list of QoS with names for policy numbers; other text is returned unchanged."""
     if len(profiles) > _MAX_CHARACTERS:
         return profiles
     try:
@@ -402,7 +402,7 @@ class OutputFile:
         self._mcap.commit(self._encoder.encode(pack(messages)), finished=False)
 
     def add_metadata(self, records: Sequence[Metadata]) -> None:
-        """Add metadata records to the next write."""
+        """Queue metadata records; the next write to the file includes them."""
         for record in records:
             self._mcap.add_metadata(record.name, record.metadata)
 
@@ -441,7 +441,7 @@ _REWRITTEN: Final = (METADATA_RECORD, LEDGER_RECORD, CONVERSION_RECORD)
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """The form of the converted recording. By default, each source file becomes one file."""
+    """The options of a conversion. By default, each source file becomes one file."""
 
     compression: Compression = Compression.ZSTD
     split_bytes: int | None = None

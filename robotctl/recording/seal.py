@@ -72,7 +72,7 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
 
 
 def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
-    """Return the signed bytes that bind `opening` to the digests of the journal of decisions."""
+    """Return the bytes that a new file's key signs: its `opening` and the journal's `digests`."""
     return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
 
 
@@ -82,7 +82,7 @@ _MAX_KEY_BYTES = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The newest stored link of a robot's chain of files. `file` is "" before the first file."""
+    """The newest signed link of a robot, which its next file continues. `file` is "" if none."""
 
     file: str = ""
     number: int = 0
@@ -96,7 +96,7 @@ class Head:
 class StoredKey:
     """The content of `key.json`, with keys in hex.
 
-    `seed` is the private key, `root` the first public key of the chain. `files` counts files.
+    `seed` is the private key, `root` the chain's first public key, `files` the number of files.
     """
 
     root: str
@@ -107,7 +107,7 @@ class StoredKey:
 
     @classmethod
     def new(cls) -> Self:
-        """Return the first key of a robot."""
+        """Return a new key that begins a chain of files."""
         seed = secrets.token_bytes(SEED_BYTES)
         public = SigningKey(seed).public
         return cls(public, public, seed.hex(), 0, Head())
@@ -177,7 +177,7 @@ class Keyring:
         return SealOfFile(opening, key.sign)
 
     def keep(self, opening: Opening, link: Link, *, closed: bool) -> None:
-        """Store `link` as the head that the next file continues.
+        """Store `link`, the newest one of a file. The seal of the next file continues it.
 
         Raises:
             OSError, ValueError: The link cannot be stored, or another recorder opened a later file.
@@ -260,7 +260,7 @@ OLD_LIST: Final = "heads.jsonl"
 
 
 def entries_of_list(path: Path) -> Iterator[Entry]:
-    """Yield the valid lines of an OLD_LIST as entries of the journal.
+    """Yield the valid lines of `path`, a list by an early version, as entries of the journal.
 
     Raises:
         OSError: The list does not exist, or cannot be read.
@@ -275,10 +275,10 @@ def entries_of_list(path: Path) -> Iterator[Entry]:
 
 @dataclass(slots=True)
 class KnownHeads:
-    """The sealed files of all robots.
+    """The sealed files of all robots that this machine knows.
 
-    `opened` and `closed` are by public key. `signed` has the names of the files with a signed link.
-    `keys` has the public keys by file name: a name can repeat after the clock was set back.
+    `opened` and `closed` map a file's public key to its opening and last link. `signed` names the
+    files with a signed link. `keys` has public keys by name: a clock set back can repeat a name.
     """
 
     opened: dict[str, Opening] = field(default_factory=dict)
@@ -287,7 +287,7 @@ class KnownHeads:
     keys: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, entry: Entry) -> None:
-        """Add the opening or end of a file from an entry of a journal.
+        """Add what a journal entry tells of a sealed file, if its kind is OPENED or CLOSED.
 
         Raises:
             ValueError, TypeError, KeyError: The entry is malformed.
@@ -305,7 +305,7 @@ class KnownHeads:
             self.signed.add(self.closed[key].file)
 
     def named(self, root: str, number: int) -> str:
-        """Return the name of file `number` of the chain with key `root`, "" if it is unknown."""
+        """Return the name of file `number` in the chain with first key `root`, "" if unknown."""
         found = (
             opening.file
             for opening in self.opened.values()
@@ -319,7 +319,7 @@ def _opening(entry: Entry) -> Opening:
 
 
 def known_heads() -> KnownHeads:
-    """Return the sealed files in all readable journals of this user."""
+    """Return the sealed files that the readable journals of this user's robots list."""
     heads = KnownHeads()
     with suppress(RobotctlError, OSError):
         for robot in state_folder().iterdir():
@@ -337,7 +337,7 @@ def known_heads() -> KnownHeads:
 
 
 def wrong_openings(lines: Iterable[OpenedLine]) -> Iterator[str]:
-    """Yield a sentence for each line of kind `opened` that does not sign the lines before it."""
+    """Yield a sentence for each `opened` line whose signature contradicts the journal before it."""
     for line in lines:
         proved = False
         with suppress(ValueError, TypeError, KeyError):

@@ -277,7 +277,7 @@ def _sync(path: Path) -> None:
 
 
 class DiskFile:
-    """A file on disk, locked while it is open. A new file is private to its owner."""
+    """A `Storage` on disk, locked while it is open. A new file is private to its owner."""
 
     def __init__(self, path: Path, *, new: bool = True) -> None:
         """Create `path` or, if not `new`, open it.
@@ -317,11 +317,7 @@ class DiskFile:
                 rest[0] = rest[0][written:]
 
     def truncate(self, size: int) -> None:
-        """Cut the file to `size` bytes.
-
-        Raises:
-            OSError: The disk fails.
-        """
+        """Cut the file to `size` bytes."""
         os.ftruncate(self._fd, size)
 
     def sync(self) -> None:
@@ -335,11 +331,7 @@ class DiskFile:
             raise OSError(errno.ENOENT, "the file was removed")
 
     def close(self) -> None:
-        """Close the descriptor. Closing twice is harmless.
-
-        Raises:
-            OSError: The disk fails.
-        """
+        """Close the descriptor. Closing twice is harmless."""
         descriptor, self._fd = self._fd, -1
         if descriptor >= 0:
             os.close(descriptor)

@@ -70,7 +70,7 @@ def record_bytes(record: McapRecord) -> bytes:
 
 
 def room_head(start: int, end: int) -> bytes:
-    """Return the head of a record that reserves the bytes from `start` to `end` of a file."""
+    """Return the head of a filler record that reserves bytes `start` to `end` for later data."""
     return RECORD_HEAD.pack(ROOM_OPCODE, end - start - RECORD_HEAD_BYTES)
 
 
@@ -78,8 +78,8 @@ def room_head(start: int, end: int) -> bytes:
 class Chunk:
     """Messages to write as one MCAP chunk.
 
-    `parts` are the records as stored. `indexes` has, by channel, log time [ns] and offset in the
-    uncompressed chunk of each message, alternately. `start_ns` and `end_ns` are log times.
+    `parts` are the records as stored. `indexes` has an array per channel: log time [ns], offset in
+    the uncompressed chunk, next time, next offset, ... `start_ns` and `end_ns` are log times.
     """
 
     parts: Sequence[Buffer]
@@ -117,7 +117,7 @@ class PlacedChunk(NamedTuple):
 
 
 def place(chunk: Chunk, offset: int) -> PlacedChunk:
-    """Return the bytes and the index entry of `chunk` at the offset `offset` of a file."""
+    """Return `chunk` as written at the file offset `offset`, with its entry in the summary."""
     compression = chunk.compression.encode()
     stored_size = chunk.stored_size
     head = (

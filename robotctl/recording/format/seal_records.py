@@ -47,7 +47,7 @@ class LinkKind(IntEnum):
 
 
 def chained(before: bytes, hashed: bytes) -> bytes:
-    """Return the SHA-256 over the digest `before` and `hashed`, the SHA-256 of the new bytes."""
+    """Return a link's digest, from the previous link's digest and the SHA-256 of the new bytes."""
     return sha256(before + hashed).digest()
 
 
@@ -55,8 +55,8 @@ def chained(before: bytes, hashed: bytes) -> bytes:
 class Link:
     """The digest of the first `covered` bytes of a file, and its signature.
 
-    `number` counts the links of kind LINK in the file from 1; a HEAD has the number of the next
-    LINK. `time_ns` is the time of the signature [ns since the epoch].
+    Links of kind LINK are numbered from 1 in each file. A HEAD has the `number` of the next LINK.
+    `time_ns` is the time of the signature [ns since the epoch].
     """
 
     kind: LinkKind
@@ -67,7 +67,7 @@ class Link:
     signature: bytes = bytes(_SIGNATURE_BYTES)
 
     def signed(self) -> bytes:
-        """Return the bytes under the signature of this link."""
+        """Return the bytes that the signature of this link covers."""
         return _LINK_DOMAIN + self._fields()
 
     def record(self) -> bytes:
@@ -116,7 +116,7 @@ class Opening:
     """The signature by `previous_key` for all other fields."""
 
     def signed(self) -> bytes:
-        """Return the bytes under `certificate`, which are all other fields."""
+        """Return the bytes that `certificate` signs: all other fields."""
         values = asdict(self)
         del values["certificate"]
         return _OPENING_DOMAIN + _json(values)

@@ -78,7 +78,7 @@ class TopicStats(NamedTuple):
 
 
 def total(counts: Iterable[TopicStats]) -> dict[str, int]:
-    """Return the sum of each counter, by name."""
+    """Return the sum of each counter (`received`, `written`, ...) over all topics, by name."""
     columns = cast(Iterable[tuple[int, ...]], islice(zip(*counts, strict=True), len(COUNTERS)))
     return dict(zip(COUNTERS, map(sum, columns), strict=False)) or dict.fromkeys(COUNTERS, 0)
 

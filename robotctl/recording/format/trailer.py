@@ -41,7 +41,7 @@ FOOTER_BYTES = RECORD_HEAD_BYTES + FOOTER_CONTENT_BYTES + len(MAGIC)
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """The parts of a valid file without attachments for a writer to continue it.
+    """What a writer needs to append to a valid file without attachments.
 
     `data_crc` is the checksum in the DataEnd record at `data_end`. `groups` has the summary's
     records, concatenated, by opcode.
@@ -57,7 +57,7 @@ class WrittenFile:
 
 @dataclass(frozen=True, slots=True)
 class TrailerState:
-    """The values for writing the trailer of one moment again."""
+    """A snapshot from which `Summary.trailer` can write the same trailer again."""
 
     data_end: int
     """The offset where the trailer begins."""
@@ -72,12 +72,12 @@ class TrailerState:
 
     @property
     def kept_bytes(self) -> int:
-        """Bytes at the start of the trailer that a commit of a chunk does not change."""
+        """Length of the trailer's beginning that stays the same when a chunk is added [bytes]."""
         return DATA_END_BYTES + sum(self.group_sizes.values())
 
 
 class Trailer(NamedTuple):
-    """The bytes of a trailer, in parts in file order."""
+    """The bytes of a file's trailer: one field for each part, in file order."""
 
     data_end: bytes
     """The DataEnd record."""
@@ -93,7 +93,7 @@ class Trailer(NamedTuple):
 
     @property
     def parts(self) -> list[Buffer]:
-        """All parts in file order."""
+        """All parts of the trailer in file order, from DataEnd to the magic bytes."""
         return [*self.before_footer, self.footer]
 
     @property
@@ -116,7 +116,7 @@ class Trailer(NamedTuple):
 
 
 class Summary:
-    """The growing summary of a file."""
+    """The summary of a file that is being written. It grows with each record."""
 
     def __init__(self) -> None:
         self.counts: dict[int, int] = {}
@@ -133,7 +133,7 @@ class Summary:
 
     @classmethod
     def of(cls, written: WrittenFile) -> Self:
-        """Return the summary of a finished file, to continue that file."""
+        """Return a summary that begins with the content of a finished file's summary."""
         self = cls()
         for opcode, group in self._groups.items():
             group += written.groups.get(opcode, b"")
@@ -170,7 +170,7 @@ class Summary:
             self.counts[channel] = self.counts.get(channel, 0) + len(entries) // 2
 
     def go_back_to(self, state: TrailerState | None) -> None:
-        """Restore the counts and times in `state`, or set them to 0 for None."""
+        """Restore the message counts and times of `state`, or reset them to 0 if it is None."""
         counted = None
         if state is not None:
             content = BytesIO(state.statistics[RECORD_HEAD_BYTES:])

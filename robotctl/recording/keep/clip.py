@@ -82,7 +82,7 @@ class Moment:
 
     @classmethod
     def of(cls, event: RecordedEvent) -> Moment:
-        """Return the moment of an event."""
+        """Return the subject of a clip about `event`."""
         return cls(event.log_ns, event.kind, event.text)
 
 
@@ -90,8 +90,8 @@ class Moment:
 class Clip:
     """A finished clip. `lost` has a sentence per unreadable part.
 
-    `start_ns` and `end_ns` [ns since the epoch] are limited to the times of the recording.
-    `message_count` includes the earlier messages at the start.
+    `start_ns` and `end_ns` [ns since the epoch] lie within the recording. `message_count` includes
+    the earlier journal and latched messages with which the clip begins.
     """
 
     target: Path
@@ -129,7 +129,7 @@ def cut_clip(
 
 
 def clip_messages(recording: Recording, window: Window, lose: Lose) -> Iterator[Message]:
-    """Yield the messages of a clip of `window` (ns, both ends included), in the clip's order."""
+    """Yield earlier journal and latched messages, then all in `window` (ns, ends included)."""
     yield from _before(recording, window[0], lose)
     yield from recording.messages(None, lose, window)
 

@@ -174,7 +174,7 @@ class ListedRecording:
         return sum(known) if known else None
 
     def largest(self, error: str) -> float | None:
-        """Return the largest value of `error`, one of `recorded_events.ERRORS`, None if unknown."""
+        """Return the largest value of a drive error, such as "closure_m", None if it is unknown."""
         known: list[float | None] = [getattr(event, error) for event in self.events]
         return max((each for each in known if each is not None), default=None)
 

@@ -50,7 +50,7 @@ from robotctl.recording.write.mcap_writer import McapFile
 
 
 def seal_of_repair(written: WrittenFile) -> Iterator[bytes]:
-    """Yield the newest link and an unsigned REPAIRED link for a repair, nothing without a seal."""
+    """Yield the seal records that a repair adds: newest link, REPAIRED mark; none if unsealed."""
     if not written.seal:
         return
     try:
@@ -64,7 +64,7 @@ def seal_of_repair(written: WrittenFile) -> Iterator[bytes]:
 
 
 def seal_of_copy(file: InputFile) -> Iterator[bytes]:
-    """Yield the opening and an unsigned REPAIRED link for a copy, nothing without a seal."""
+    """Yield the seal records for a copy of `file`: opening, REPAIRED mark; none if unsealed."""
     opening: Opening | None = None
     newest = Link(LinkKind.REPAIRED, number=1, covered=0, time_ns=0, digest=NO_DIGEST)
     offset = len(MAGIC)
@@ -92,7 +92,7 @@ def seal_of_copy(file: InputFile) -> Iterator[bytes]:
 class RecoveryReport:
     """The result of a recovery. `lost` has a sentence per part that was not recovered.
 
-    Higher read limits recover more if `limit_reached`; a later attempt may after a `failure`.
+    Higher read limits recover more if `limit_reached`. `failure` is an error of disk or memory.
     """
 
     target: Path

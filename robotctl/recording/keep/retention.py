@@ -25,7 +25,7 @@ from robotctl.recording.read.records import InputFile
 
 
 def rewrite_metadata(folder: Path, files: Sequence[Path]) -> None:
-    """Write the `metadata.yaml` of `folder` for `files` in this order, without damaged files.
+    """Write the `metadata.yaml` of `folder` for `files` in this order, leaving out damaged ones.
 
     Raises:
         OSError: `metadata.yaml` cannot be written, or a file cannot be opened.
@@ -67,7 +67,7 @@ _APPEND: Final = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_N
 
 
 def note_removal(recordings: Path, path: Path, text: str) -> None:
-    """Note the coming removal of `path` with its reason `text`.
+    """Note that `path` will be removed, with the reason `text`.
 
     Raises:
         OSError: The note cannot be written.
@@ -82,7 +82,7 @@ def note_removal(recordings: Path, path: Path, text: str) -> None:
 
 
 def withdraw_note(recordings: Path, path: Path) -> None:
-    """Delete the note of a file that was not removed after all.
+    """Delete the note by `note_removal`, as `path` was not removed after all.
 
     Raises:
         OSError: The notes cannot be written.
@@ -94,7 +94,7 @@ def withdraw_note(recordings: Path, path: Path) -> None:
 
 
 def noted_removals(recordings: Path) -> Iterator[TidyNote]:
-    """Yield and forget the noted removals of files that are gone. Call this under `only_one_in`."""
+    """Yield and delete each note on a file that is gone. Requires the lock `only_one_in`."""
     path = recordings / NOTES_FILE
     notes = dict(_notes(path))
     if not notes:
@@ -194,7 +194,7 @@ def enforce_retention(
 
 
 def remove_recording(folder: CatalogFolder) -> list[CatalogFile]:
-    """Remove files and clips of a recording, neither live nor kept, and return them. Blocks.
+    """Remove and return all files and clips of a recording that is neither live nor kept. Blocks.
 
     Raises:
         OSError: A file cannot be removed; the files before it are removed.

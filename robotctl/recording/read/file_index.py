@@ -28,7 +28,7 @@ MAX_SENTENCES = 20
 
 
 class PlaceKind(Enum):
-    """The form of the messages of a place in the file."""
+    """Whether the messages of a place are in a chunk or outside any."""
 
     CHUNK = "chunk"
     TORN_CHUNK = "torn chunk"
@@ -43,7 +43,7 @@ class Place:
     """A part of a file with messages, `length` bytes at `offset`. Log times are in ns.
 
     `channels` has the ids of the channels with messages there, None if unknown. `unpacked_bytes`
-    and `compression` are those of the summary, None and "" without one.
+    and `compression` are what the summary states, None and "" if the file has no summary.
     """
 
     kind: PlaceKind
@@ -56,7 +56,7 @@ class Place:
     compression: str = ""
 
     def size_in_memory(self, file: InputFile) -> int:
-        """Return the number of bytes that `read` returns, by the sizes stored in the file.
+        """Return how many bytes `read` will return, as the summary or the chunk's head states.
 
         Raises:
             Damaged: The head of the chunk cannot be read.
@@ -84,7 +84,7 @@ class Place:
 
 
 class Contents:
-    """The messages and definitions in the records of a place."""
+    """The messages of a `Place`, which is a chunk or a run of records outside chunks."""
 
     def __init__(self) -> None:
         self.records = 0
@@ -100,9 +100,10 @@ class Contents:
         define: Callable[[int, bytes], object],
         begin: Callable[[int], None] = lambda channel: None,
     ) -> None:
-        """Walk the records in `data`, the content of a place.
+        """Add the messages in `data`, the decompressed records of a place, to `entries`.
 
-        `define` gets opcode and content of schemas and channels, `begin` each channel of messages.
+        `define` gets opcode and content of each schema and channel record, `begin` the id of each
+        channel at its first message.
 
         Raises:
             Damaged: A record is cut off or malformed.
@@ -281,7 +282,7 @@ def read_chunk_times(data: bytes, position: int, end: int) -> tuple[int, int]:
 
 
 def read_chunk_index(data: bytes, position: int, end: int) -> tuple[Place, int]:
-    """Return the chunk of the index record `data[position:end]`, and the offset after its indexes.
+    """Return the chunk of an index record, `data[position:end]`, and where its message indexes end.
 
     Raises:
         Damaged: The record contradicts itself.

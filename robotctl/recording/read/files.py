@@ -90,7 +90,7 @@ def _room() -> Iterator[None]:
 class Source(Protocol):
     """A file, perhaps growing, that is read by ranges.
 
-    Every method but `close` may raise OSError or, to end the reading, UnreadableFile.
+    All methods but `close` may raise OSError or, if a remote store fails, UnreadableFile.
     """
 
     def size(self) -> int:
@@ -185,7 +185,7 @@ class RemoteSource:
         self._reader = path.reader()
 
     def size(self) -> int:
-        """Return the size of the object at the look-up [bytes]."""
+        """Return the size that the object had when it was opened [bytes]."""
         return self._size
 
     def stored_bytes(self) -> int:
@@ -250,7 +250,7 @@ def reason_of(error: OSError | ValueError) -> str:
 
 
 def metadata_of_folder(folder: Path) -> tuple[str, list[str]]:
-    """Return the text of `metadata.yaml` or "", and a list with a sentence if it cannot be read."""
+    """Return the text of `metadata.yaml` ("" if none), and a list with the read error, if any."""
     try:
         return read_metadata(folder), []
     except (OSError, ValueError) as error:
@@ -316,9 +316,9 @@ def files_of_bag(folder: Path) -> list[Path]:
 def each_with_progress(
     paths: Sequence[Path], on_progress: Progress
 ) -> Iterator[tuple[Path, Progress]]:
-    """Yield each path with a function for its progress (done, total) in any unit.
+    """Yield each path, and a function to call with its progress (done, total) in any unit.
 
-    `on_progress` gets the bytes done and in total of all paths.
+    That function calls `on_progress` with the bytes done and in total, over all paths.
     """
     sizes = [size_of(path) for path in paths]
     total = sum(sizes)
@@ -342,7 +342,7 @@ def absent_files(text: str, present: list[Path]) -> list[str]:
 def absent_names(text: str, present: list[Path]) -> list[str]:
     """Return the files in `text`, a `metadata.yaml`, that are not in `present`, compressed or not.
 
-    Read `text` before listing the folder: a daemon creates a file before listing it there.
+    Read `text` before listing the folder: a daemon creates a file before `metadata.yaml` names it.
     """
     names = {path.name.removesuffix(SUFFIX) for path in present}
     return [name for name in files_in(text) if name.removesuffix(SUFFIX) not in names]

@@ -90,7 +90,7 @@ def _before_own_footer(data: bytes) -> bytes:
 
 
 def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
-    """Return the index from the file's summary. Without `places`, messages cannot be read.
+    """Return the index in a file's summary. With `places=False`, it lacks the places of messages.
 
     Raises:
         Damaged: The summary is missing or not valid.
@@ -201,7 +201,7 @@ def _read_metadata(file: InputFile, index: FileIndex, entries: Iterable[Metadata
 
 
 def read_written_file(file: InputFile) -> WrittenFile:
-    """Return the state of a file of robotctl for a writer to continue it.
+    """Return what a writer needs to append to a file of robotctl.
 
     Raises:
         Damaged: The summary is not valid, or not as robotctl writes it.
@@ -229,9 +229,9 @@ def read_written_file(file: InputFile) -> WrittenFile:
 
 
 def find_unfinished_commit(file: InputFile, index: FileIndex, data_end: int) -> int | None:
-    """Return the offset of the first record of an unfinished commit, or None.
+    """Return the offset of the first record of an unfinished write, or None.
 
-    `index` and `data_end`, the end of the data, are from the summary.
+    The summary lacks such records. It gives `index` and `data_end`, the end of the data.
 
     Raises:
         Damaged: A record cannot be read, or a chunk in the summary follows that offset.
@@ -297,7 +297,7 @@ def index_by_scanning(
 
 
 def read_gaps(file: InputFile, index: FileIndex) -> None:
-    """Add the content of `index.gaps`, which the summary does not list, to `index`."""
+    """Index the parts of the data in `index.gaps`, which the summary does not describe."""
     of_summary = dict(index.counts), index.start_ns, index.end_ns
     scan = _Scan(file, index)
     for start, end in index.gaps:
@@ -479,9 +479,10 @@ def index_of(
     *,
     places: bool = True,
 ) -> FileIndex:
-    """Return the index of a file, from its summary or, if that is not valid, by a scan.
+    """Return the index of a file from its summary or, if that is not valid, from a scan.
 
-    `on_progress` gets the offset of the scan. Without `places`, messages cannot be read.
+    `on_progress` gets the offset that a scan has reached. With `places=False` the index may lack
+    the places of messages, which then cannot be read.
 
     Raises:
         Damaged: Not even the header can be read.

@@ -65,7 +65,7 @@ def _beyond(limit: str) -> UnreadableFile:
 
 
 def journal_topic(info: RecordingInfo) -> str | None:
-    """Return the journal topic of the recording robot, or else the only one, or else None."""
+    """Return the journal topic of the robot that recorded, else the only journal topic, or None."""
     own, found = own_journal_topic(info), journal_topics(info)
     return own if own in found else found.pop() if len(found) == 1 else None
 

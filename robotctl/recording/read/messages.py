@@ -63,10 +63,10 @@ class OpenFile:
 
 
 class PlaceReader:
-    """Reader of one `Place` of a file. `names` has topic and type of the wanted channels by id.
+    """Reads one `Place`, such as a chunk. `names` has topic and type by id of the wanted channels.
 
-    `take`, after `load`, returns only messages in `window`. `contents` and `as_written` yield all
-    messages in file order.
+    After `load`, `take` returns the messages in `window`, by log time. `contents` and `as_written`
+    yield those of any time, in file order.
     """
 
     def __init__(
@@ -87,14 +87,14 @@ class PlaceReader:
             self._decompressor = MessageDecompressor(place.offset, limits, unpacked)
 
     def may_hold(self, topics: Collection[str]) -> bool:
-        """Return whether the place may have a message of one of the topics."""
+        """Return whether this part of the file may have messages of `topics`. False is certain."""
         channels = self.place.channels
         return channels is None or any(
             topic in topics for channel, (topic, _) in self._names.items() if channel in channels
         )
 
     def load(self) -> None:
-        """Read the place, and store the selected messages in `entries`, in the order of log time.
+        """Read the place. `entries` then lists the wanted messages within `window`, by log time.
 
         Raises:
             Damaged: A part is damaged; `entries` has the messages before it.
@@ -129,10 +129,10 @@ class PlaceReader:
         return Message(*self._names[channel], content, log_ns, publish_ns, sequence)
 
     def contents(self) -> Iterator[list[tuple[RecordHead, bytes]]]:
-        """Yield head and data of the messages of wanted channels in file order, in lists.
+        """Yield lists of (record head, data) of all messages of the wanted channels, in file order.
 
         Raises:
-            Damaged: After the last message, if some are missing.
+            Damaged: Messages are missing. It is raised after the last readable one.
         """
         failure: Damaged | None = None
         data, begin = self._read(), RECORD_HEAD.size
@@ -155,10 +155,10 @@ class PlaceReader:
             raise failure
 
     def as_written(self) -> Iterator[list[Message]]:
-        """Yield the messages of wanted channels in file order, in lists.
+        """Yield lists of all messages of the wanted channels, in file order.
 
         Raises:
-            Damaged: After the last message, if some are missing.
+            Damaged: Messages are missing. It is raised after the last readable one.
         """
         names = self._names
         for contents in self.contents():
@@ -213,7 +213,7 @@ class PlaceReader:
             raise Damaged(f"{unknown} messages belong to no channel")
 
     def loss(self, damage: Damaged) -> str:
-        """Return a sentence about the messages lost by a damage of the place."""
+        """Return a sentence about the messages that `damage` destroyed: file, bytes, reason."""
         begin = self.place.offset
         return (
             f"{self.file.path.name}: messages between bytes {begin} and "
@@ -239,7 +239,7 @@ def place_readers(
 
 
 def names_of(index: FileIndex, topics: Collection[str] | None = None) -> dict[int, tuple[str, str]]:
-    """Return topic and type by channel id, only of `topics` unless None."""
+    """Return (topic, type) by channel id, for the given `topics` or, if None, for all."""
     return {
         channel.id: (channel.topic, type_name_of(channel, index.schemas.get(channel.schema_id)))
         for channel in index.channels.values()
@@ -326,9 +326,9 @@ def batched(messages: Iterable[PlainMessage], most_bytes: int) -> Iterator[list[
 def open_readable(
     path: Path, text: str, on_progress: Callable[[int, int], None]
 ) -> Iterator[ReadableFile]:
-    """Open a file to copy it. `text` is the recording's `metadata.yaml`, or "".
+    """Open a file to copy it. `text` is the content of the recording's `metadata.yaml`, or "".
 
-    `on_progress` gets the bytes done and in total. Each byte counts twice.
+    `on_progress` gets bytes done and in total. A byte counts twice: when indexed, when copied.
 
     Raises:
         OSError: The file cannot be opened.
@@ -343,10 +343,10 @@ def open_readable(
 
 
 def find_shortfalls(text: str, files: Sequence[OpenFile], *, all_files: bool) -> Iterator[str]:
-    """Yield sentences about recorded counts that exceed the messages in `files`.
+    """Yield a sentence for each count of the recorder that exceeds the messages found in `files`.
 
-    `text`, the `metadata.yaml`, must be read before the files. With `all_files`, `files` are all
-    files of the recording.
+    `text`, the content of `metadata.yaml`, must be read before the files. `all_files` tells whether
+    `files` are the whole recording.
     """
     if any(each.index.limit_reached for each in files):
         return  # not all messages were read

@@ -74,7 +74,7 @@ ZSTD_FILE_RATIO: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class ReadLimits:
-    """The limits of one file. `unpacked_cost` is in bytes as `unpacking_cost` counts them."""
+    """The limits for reading one file. `unpacked_cost` bounds the sum of all `unpacking_cost`s."""
 
     unpacked_cost: int
     chunk_bytes: int
@@ -114,7 +114,7 @@ class ReadLimits:
 
 
 def unpacking_cost(unpacked_bytes: int) -> int:
-    """Return the part of `ReadLimits.unpacked_cost` for a chunk of `unpacked_bytes`."""
+    """Return how much a chunk of `unpacked_bytes` counts against `ReadLimits.unpacked_cost`."""
     return unpacked_bytes // (FAST_CHUNK_DISCOUNT if unpacked_bytes <= FAST_CHUNK_BYTES else 1)
 
 
@@ -133,7 +133,7 @@ def _factor() -> float:
 
 @dataclass(slots=True)
 class Tally:
-    """A sum of one number per place (offset) of a file."""
+    """A count for each place (offset) in a file, and the sum of all counts."""
 
     of: dict[int, int] = field(default_factory=dict)
     total: int = 0
@@ -146,7 +146,7 @@ class Tally:
             self.of[place] = number
 
     def others(self, place: int) -> int:
-        """Return the sum over all places except `place`."""
+        """Return the sum of all counts but that of `place`, an offset."""
         return self.total - self.of.get(place, 0)
 
 
@@ -204,6 +204,6 @@ def noted_read_failures() -> Iterator[list[str]]:
 
 
 def note_read_failure(sentence: str) -> None:
-    """Add the sentence to the list of `noted_read_failures`, if a caller uses it."""
+    """Add `sentence` to the list of the enclosing `noted_read_failures` block, if there is one."""
     if (found := _failures.get()) is not None:
         found.append(sentence)

@@ -254,7 +254,7 @@ class Recording:
         return {record.name: record.metadata for record in self._files[number].index.metadata}
 
     def channels(self) -> dict[tuple[str, str], tuple[Channel, Schema | None]]:
-        """Return channel and schema by topic and type, each from the first file with both."""
+        """Return (channel, schema) by (topic, type), from the first file with such a topic."""
         channels: dict[tuple[str, str], tuple[Channel, Schema | None]] = {}
         for each in self._files:
             for channel in each.index.channels.values():
@@ -324,7 +324,7 @@ class Recording:
     def last_before(
         self, moment_ns: int, wanted: Mapping[str, int], on_missing: Callable[[str], None]
     ) -> list[Message]:
-        """Return each topic's last `wanted[topic]` messages before `moment_ns`, by log time."""
+        """Return the last messages before `moment_ns`, `wanted[topic]` per topic, by log time."""
         found = list(enumerate(place_readers(self._files, wanted, (0, moment_ns - 1))))
         found.sort(key=lambda ranked: ranked[1].place.end_ns, reverse=True)
         held: dict[str, list[tuple[int, int, int, Message]]] = {topic: [] for topic in wanted}

@@ -76,7 +76,6 @@ def parse(kind: type[_Record], data: bytes) -> _Record:
 
     Raises:
         Damaged: The content is malformed.
-        MemoryError: There is no memory.
     """
     try:
         return kind.read(_ExactStream(BytesIO(data)))  # type: ignore[attr-defined,no-any-return]
@@ -139,7 +138,7 @@ class InputFile:
             raise
 
     def refresh(self) -> None:
-        """Read the present size of the file again, and set its limits by it."""
+        """Read the file's present size, and set the read limits that follow from it."""
         self.size = self._source.size()
         self.stored_bytes = self._source.stored_bytes()
         self.limits = ReadLimits.of(self.stored_bytes)
@@ -233,10 +232,10 @@ def walk_records(data: bytes, most: int = sys.maxsize) -> Iterator[tuple[int, in
 
 
 def head_blocks(data: bytes, most: int = sys.maxsize) -> Iterator[HeadBlock]:
-    """Yield position and head of each record in a chunk, in lists.
+    """Yield the records of a chunk or summary, `data`, in lists of (position, record head).
 
     Raises:
-        Damaged: After the last record, if the next one is cut off or malformed.
+        Damaged: A record is cut off or malformed. All records before it were yielded.
         BeyondLimit: There are more than `most` records.
     """
     position, size = 0, len(data)
@@ -285,7 +284,7 @@ ZEROS: Final = "it is not an MCAP file: it begins with zeros"
 
 
 def read_header(file: InputFile) -> tuple[Header, int]:
-    """Return the header, or LOST_HEADER for one of zeros, and the offset after it.
+    """Return the header, LOST_HEADER if the file begins with zeros, and the offset after it.
 
     Raises:
         Damaged: The file is empty, or no MCAP file.

@@ -91,7 +91,7 @@ class Flaws:
 
 
 class FileState(StrEnum):
-    """The state of a file after its writer."""
+    """Whether a file is complete, and what wrote it."""
 
     FINISHED = "finished"
     LIVE = "live"
@@ -121,11 +121,11 @@ _STATES: Final = {
 
 @dataclass(slots=True)
 class WholeData(FileIndex):
-    """The content of a data section.
+    """What was read of a file's data section.
 
     `end` is the offset of the DataEnd record, or where the reading had to stop. `crc` is the
-    checksum of all bytes before `end`. `told_crc` is that in the DataEnd record, 0 if the writer
-    computed none, None without such a record.
+    computed checksum of the bytes before `end`. `told_crc` is the stored one: 0 if the writer
+    stored none, None without a DataEnd record.
     """
 
     end: int = 0
@@ -162,7 +162,7 @@ class WholeData(FileIndex):
         return FileState.NOT_CLOSED
 
     def statistics(self) -> Statistics:
-        """Return the right statistics for the summary."""
+        """Return the statistics record that the summary must have, counted from the data."""
         return Statistics(
             attachment_count=len(self.listed[Opcode.ATTACHMENT_INDEX]),
             channel_count=len(self.channels),

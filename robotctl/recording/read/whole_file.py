@@ -49,7 +49,7 @@ from robotctl.recording.seal import is_signed
 
 
 class SealState(StrEnum):
-    """The part of a file under its seal."""
+    """How much of a file its seal proves."""
 
     SEALED = "sealed"
     """The whole file."""
@@ -85,7 +85,7 @@ class SealOfRead:
 
 
 def check_seal(file: InputFile, data: WholeData, state: FileState, loose: int) -> SealOfRead:
-    """Check the seal of a file with the read `data`. The last `loose` bytes may be unsealed.
+    """Check the seal of a file with the content `data`. The last `loose` bytes need no seal.
 
     Raises:
         Damaged: The disk fails.
@@ -212,7 +212,7 @@ def find_footer(file: InputFile, data_end: int) -> Record:
 
 
 def ends_in_commit(file: InputFile, summary_start: int, end: int) -> bool:
-    """Return whether a killed commit has left the bytes after `end`."""
+    """Return whether the bytes after `end`, the trailer's end, are of an interrupted write."""
     try:
         last = file.read(file.size - FOOTER_BYTES, FOOTER_BYTES)
         if RECORD_HEAD.unpack_from(last) != (Opcode.FOOTER, FOOTER_CONTENT_BYTES):
@@ -226,7 +226,7 @@ def ends_in_commit(file: InputFile, summary_start: int, end: int) -> bool:
 
 
 def forget_unlisted_chunk(data: WholeData, summary: bytes) -> int:
-    """Remove a last chunk that `summary` lacks from `data`, and return its size [bytes] or 0."""
+    """Remove the last chunk from `data` if `summary` lacks it. Return its size [bytes], else 0."""
     chunks = data.listed[Opcode.CHUNK_INDEX]
     if not chunks:
         return 0
@@ -262,7 +262,7 @@ _LOOK_AGAIN_S = 0.002
 
 @dataclass(slots=True)
 class WholeFile:
-    """The result of `read_whole_file`. `loose` counts the bytes of an unfinished commit."""
+    """What `read_whole_file` found. `loose` counts the bytes of a write that a kill interrupted."""
 
     path: Path
     size: int
@@ -421,9 +421,9 @@ def _check_trailer(file: InputFile, found: WholeFile) -> None:
 
 
 def find_flip(told: int, found: int, size: int) -> int | None:
-    """Return the offset of the byte with one flipped bit that explains a difference, or None.
+    """Return the offset of the byte in which one flipped bit explains a wrong CRC-32, or None.
 
-    `told` and `found` are CRC-32s of `size` bytes. The search takes 0.1 s for 100 MB.
+    `told` is the stored CRC-32, `found` that of the `size` bytes read. 100 MB take 0.1 s.
     """
     if told == found or size > MAX_FLIP_BYTES:
         return None

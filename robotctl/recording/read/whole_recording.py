@@ -43,7 +43,7 @@ MAX_MISSING: Final = 20
 
 @dataclass(slots=True)
 class Chain:
-    """The result of `check_chain`. `wrong` and `absent` have sentences about pairs of files."""
+    """The result of `check_chain`: sentences about contradictions (`wrong`) and gaps (`absent`)."""
 
     wrong: list[str] = field(default_factory=list)
     absent: list[str] = field(default_factory=list)
@@ -116,7 +116,7 @@ _AS_RECORDED: Final = (FileState.FINISHED, FileState.LIVE, FileState.NOT_CLOSED)
 
 @dataclass(frozen=True, slots=True)
 class KnownFile:
-    """The result of `compare_known`."""
+    """How a file differs from what this machine knows of it, in sentences."""
 
     wrong: str = ""
     """The reason against the known file, or ""."""
@@ -126,7 +126,7 @@ class KnownFile:
 
 
 def compare_known(file: WholeFile, heads: KnownHeads) -> KnownFile:
-    """Compare a file's key, name and end with those in `heads`."""
+    """Compare a file's key, name and end with `heads`, what this machine knows of sealed files."""
     opening = file.seal.opening
     name = file.path.name.removesuffix(SUFFIX)
     if opening is None:
@@ -175,7 +175,7 @@ class VerifiedRecording:
 
     @property
     def wrong(self) -> tuple[str, ...]:
-        """A sentence for each wrong byte, count, seal and connection."""
+        """Sentences about the faults in bytes, message counts, seals and the chain of files."""
         many = len(self.files) > 1
         seals = [
             f"{file.path.name}: {sentence}" if many else sentence
@@ -186,7 +186,7 @@ class VerifiedRecording:
 
     @property
     def proof(self) -> RecordingProof:
-        """The most severe result."""
+        """The result for the whole recording: the most severe one that applies."""
         if self.wrong:
             return RecordingProof.BROKEN
         if self.unreadable:
