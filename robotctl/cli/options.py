@@ -90,7 +90,7 @@ ProfileName = Annotated[
 
 
 def given_options(context: typer.Context) -> dict[str, str]:
-    """Return the spelling of each parameter on the command line: `{"rate": "--rate"}`."""
+    """Return {name: option} for each parameter that is given, such as {"rate": "--rate"}."""
     given = {}
     for parameter in context.command.params:
         name = parameter.name or ""

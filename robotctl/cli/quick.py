@@ -166,7 +166,7 @@ _WITHOUT_ARGUMENT: dict[str, Callable[[str, bool], None]] = {
 
 
 def match(arguments: list[str]) -> Callable[[], None] | None:
-    """Return the call that the arguments spell, or None if typer must parse them."""
+    """Return a function that runs the command in `arguments`; None if typer must parse them."""
     robot = os.environ.get(ROBOT_VARIABLE) or DEFAULT_ROBOT
     as_json = False
     reason: str | None = None

@@ -108,7 +108,7 @@ OTHER_WORDS = {
 
 
 def other_words() -> dict[str, str]:
-    """Return advice by word: OTHER_WORDS and, for a motion, its `robotctl drive` command."""
+    """Return the advice for each word that is no command: OTHER_WORDS, and names of motions."""
     from robotctl.cli.commands.drive import MOTIONS
 
     return OTHER_WORDS | {word: f"`robotctl drive {word}`" for word in MOTIONS}

@@ -72,16 +72,12 @@ _TYPES_IN_FILES: Final = {
 
 
 def stamps_in(path: Path | str) -> Stamps:
-    """Return the stamps of the recordings in an index or a catalogue, {} for an unusable file.
-
-    Raises:
-        UsageError: duckdb is not installed.
-    """
+    """Return {recording name: stamp} of one index or catalogue, {} if the file is unusable."""
     return stamps_of_each([path])[0]
 
 
 def stamps_of_each(paths: Sequence[Path | str]) -> list[Stamps]:
-    """Return the stamps of the recordings in each index or catalogue.
+    """Return {recording name: stamp} of each index or catalogue; see `stamp_of`.
 
     The result is {} for a link, an unreadable file, other columns, or more than MAX_ROWS rows.
 
@@ -190,7 +186,7 @@ NOT_ALLOWED: Final = "this user may not read it"
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """A catalogue that is up to date.
+    """The up-to-date catalogue of a folder: one file with the rows of its recordings' indexes.
 
     `left_out` has a sentence for each recording that is not completely in the catalogue.
     """

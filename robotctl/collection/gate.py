@@ -183,7 +183,7 @@ class GateReport:
         return groups
 
     def totals(self) -> dict[str, Any] | None:
-        """Return sums and maxima over all drives, None if no other parameters were tried."""
+        """Return sums and maxima over all drives, None if none was re-run with other parameters."""
         changes = [each.other for each in self.results.values() if each.other is not None]
         return totals_of(changes) if changes else None
 
@@ -192,7 +192,7 @@ class GateReport:
 
 
 def cause_of(result: Judgement) -> str:
-    """Return "VERDICT: CAUSE", or "changed: CAUSE" if only other parameters fail the gate."""
+    """Return "VERDICT: CAUSE"; "changed: CAUSE" if the result fails only with other parameters."""
     if result.verdict not in FAILED and result.differs:
         if result.other is not None and result.other["failure"]:
             return f"{CHANGED}: the kernel fails with other parameters"
@@ -220,7 +220,7 @@ def judge_all(
     `settings` are other parameters to try. Results in the store are not computed again.
 
     Raises:
-        Refused: A result cannot be stored, or the engine is not available.
+        Refused: A result cannot be stored, or the `engine` (a Dask cluster) is not available.
     """
     found: dict[Path, Judgement] = {}
     report = GateReport()

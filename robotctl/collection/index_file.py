@@ -108,7 +108,7 @@ def file_of(stream: IO[bytes]) -> str:
 
 
 def parquet(paths: Iterable[Path | str], options: str = "") -> str:
-    """Return the SQL call that reads the Parquet files `paths`, with `options` after a comma."""
+    """Return the SQL call that reads the Parquet files `paths`; `options` begins with a comma."""
     return f"read_parquet([{patterns(paths)}], hive_partitioning = false{options})"
 
 
@@ -164,7 +164,7 @@ class RecordingRow:
 class DriveRow:
     """A drive, numbered from 1 in its recording.
 
-    Endless drives have 0 `wanted_laps`. In an unfinished drive, fields with a default are None.
+    `wanted_laps` is 0 if endless. In an unfinished drive, `duration_s` and all after it are None.
     """
 
     kind: ClassVar[str] = "drive"
@@ -271,7 +271,7 @@ def index_path(recording: Path) -> Path:
 
 
 def index_path_text(recording: str) -> str:
-    """Return the path of `index_path` as text, 30 times as fast."""
+    """Return the path of a recording's index as text, 30 times as fast as `index_path`."""
     return (
         f"{recording}.{INDEX_FILE}" if recording.endswith(".mcap") else f"{recording}/{INDEX_FILE}"
     )

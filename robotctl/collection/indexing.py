@@ -300,7 +300,7 @@ def index_recording(recording: Path) -> str:
 
 
 def index_job(given: dict[str, Any], report: Report) -> None:
-    """Index `given["recording"]`, as a job of the daemon.
+    """Index the recording with the path `given["recording"]`; the daemon runs this as a process.
 
     Raises:
         RobotctlError: The recording was not indexed.

@@ -107,7 +107,7 @@ Kind = TypeVar("Kind")
 
 
 class Typed(Generic[Kind]):
-    """Converts parsed JSON to objects of one class. Create it while a module is imported."""
+    """Converts parsed JSON to objects of one class. Create it only at import: not thread-safe."""
 
     def __init__(self, kind: type[Kind]) -> None:
         self._kind = kind
@@ -159,7 +159,7 @@ def totals_of(changes: Iterable[Change]) -> dict[str, Any]:
 
 
 def ends_otherwise(drive: Mapping[str, Any]) -> bool:
-    """Return whether the drive ended in one run only, or differently in both."""
+    """Return whether a drive ended differently with other parameters, or is in one run only."""
     mine, theirs = drive["recorded"], drive["what_if"]
     if mine is None or theirs is None:
         return True
@@ -177,7 +177,7 @@ def outcome_of(
     report: Report | None,
     other: Change | None,
 ) -> str:
-    """Return a SHA-256 over the verdict, the check's findings, the `settings` and their changes.
+    """Return a SHA-256 of the verdict, the findings, the `settings`, and what these change.
 
     The path of the recording and the version of robotctl do not change the hash.
     """
@@ -304,7 +304,7 @@ def crashed(content: Content, settings: Mapping[str, str], error: Exception) -> 
 
 
 def key_of(recording: str, settings: Mapping[str, str]) -> str:
-    """Return the key of a result; `recording` is the recording's hash."""
+    """Return the key of a stored result: a hash over `recording` (a hash), software, settings."""
     parts = [recording, software_hash(), *(f"{key}={settings[key]}" for key in sorted(settings))]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 

@@ -82,7 +82,7 @@ class ResultStore:
         return result
 
     def put_token(self) -> str:
-        """Create a file by which workers recognize the same folder, and return its name.
+        """Create a file by which a worker recognizes this folder, and return its name.
 
         Raises:
             Refused: The store cannot be written.
@@ -100,11 +100,11 @@ class ResultStore:
             raise self._refusal("write", error) from error
 
     def has_token(self, name: str) -> bool:
-        """Return whether the token with this name is in the folder."""
+        """Return whether the file that `put_token` created is in this folder."""
         return (self.folder / name).is_file()
 
     def remove_token(self, name: str) -> None:
-        """Remove the token with this name, if it exists.
+        """Remove the file that `put_token` created, if it exists.
 
         Raises:
             Refused: The folder cannot be written.
@@ -144,7 +144,7 @@ def _name(key: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """The answer of a job: a judgement, a `problem`, or `live` for a recording being written."""
+    """The result of one job: a judgement, a `problem`, or `live` for a recording being written."""
 
     judgement: Judgement | None
     was_stored: bool = False
@@ -154,7 +154,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Judging:
-    """The data that each job of a gate needs, for use in any process or on another machine."""
+    """What all jobs of a gate share. A job judges one recording, in any process or machine."""
 
     settings: dict[str, str]
     store: ResultStore
@@ -167,7 +167,7 @@ class Judging:
         A result with the verdict `crashed` is not stored.
 
         Raises:
-            Refused: This process has another robotctl, or the store cannot be read or written.
+            Refused: The software here is not the gate's, or the store cannot be read or written.
         """
         if software_hash() != self.software:
             raise Refused(
@@ -192,7 +192,7 @@ class Judging:
         return Judged(self.store.put(found))
 
     def stored(self, path: Path) -> Judged | None:
-        """Return the stored result, the problem of an unreadable recording, or None.
+        """Return the stored result or None; for an unreadable recording, return the problem.
 
         Raises:
             Refused: The store cannot be read.
@@ -220,7 +220,7 @@ def judge_here(
     on_progress: Done,
     processes: Processes = local_processes,
 ) -> Answers:
-    """Yield each recording with its stored result or the answer of a local process."""
+    """Yield each recording with its stored result, or a new one from a process on this machine."""
     new: list[Path] = []
     done = 0
     for path, known in results_of(judging.stored, recordings, local_threads):

@@ -153,7 +153,7 @@ def script(shell: Shell, root: Any) -> str:
 
 
 def with_script(text: str, script: str) -> str:
-    """Return the start file `text` with `script` in it; an earlier script is replaced."""
+    """Return a shell's start file, read as `text`, with `script` added or replaced."""
     block = f"{BEGIN}{script}{END}"
     head, begin, rest = text.partition(BEGIN)
     _, end, tail = rest.partition(END)

@@ -88,7 +88,7 @@ def _lines(removed: list[str], found: list[Finding]) -> Iterator[str]:
 def diagnose(
     robot: str, config: Path | None, domain_id: int | None, *, clean: bool
 ) -> tuple[list[str], list[Finding]]:
-    """Run all checks; return the removed files, stale ones if `clean`, and the findings.
+    """Run all checks, and remove stale files if `clean`; return removed files and findings.
 
     Raises:
         UsageError: The name of the robot, the configuration or the domain is wrong.

@@ -188,7 +188,7 @@ _OWNERS = {
 
 
 def checked_values(motion: str, given: Sequence[str] | None, topic: str = "") -> list[str]:
-    """Return the arguments `given` after `motion`; with a `topic`, none are needed.
+    """Return the checked arguments of a motion, [] for a path that comes from a `topic`.
 
     Raises:
         UsageError: There is no such motion, or its arguments are too many, too few or wrong.
@@ -226,7 +226,7 @@ def options_of(pattern: PatternKind) -> frozenset[str]:
 def refuse_options(
     what: str, options: Mapping[str, object], *, allowed: Collection[str], cure: str = ""
 ) -> None:
-    """Check that no option outside `allowed` is given; None means not given.
+    """Check that only options in `allowed` are given; one with the value None is not given.
 
     `what` is the motion's name in the error, and `cure` is the advice about a wrong size.
 

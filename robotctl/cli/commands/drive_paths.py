@@ -218,7 +218,7 @@ def heard_path(robot: str, topic: str) -> tuple[str, list[list[float]], Frame]:
 def path_in(
     definition: Definition, data: bytes, frames: Mapping[str, Frame], name: str
 ) -> tuple[list[list[float]], Frame]:
-    """Return points [m] and frame of the path in `data`; `frames` maps a frame_id to its frame.
+    """Return points [m] and frame of the path message `data`; `frames` has frames by frame_id.
 
     Raises:
         Refused: The message is unreadable or in another frame, or its points are not allowed.

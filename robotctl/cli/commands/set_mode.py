@@ -114,7 +114,7 @@ def preflight(
 
 
 def lines(answer: Preflight) -> Iterator[str]:
-    """Yield a line for each condition, and one for the cure of a failed condition."""
+    """Yield a line for each start condition, and one for the cure of a failed condition."""
     width = max(len(each["condition"]) for each in answer["conditions"])
     for each in answer["conditions"]:
         if not each["problem"]:

@@ -172,7 +172,7 @@ class TeleopSession:
         self._woke_s = time.monotonic()
 
     def lines(self) -> list[str]:
-        """Return the lines for the screen: keys, speeds, and the end of a motion."""
+        """Return the lines for the screen: keys, speeds, and why the last motion ended."""
         how = WITHOUT_RELEASES if self._answers is None else WITH_RELEASES
         if self._gamepad is not None:
             how = (str(self._gamepad),)
@@ -185,7 +185,7 @@ class TeleopSession:
         ]
 
     def begin(self, answers: TerminalAnswers | None) -> None:
-        """Begin to read keys; `answers` is None if the terminal does not report key releases."""
+        """Prepare to read a terminal's keys; `answers` is None if it reports no key releases."""
         self._answers = answers
         self._hands = HandsWithoutReleases() if answers is None else HandsWithReleases()
         self._holding.silence_lets_go = answers is None and self._gamepad is None

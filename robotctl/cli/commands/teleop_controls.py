@@ -66,10 +66,10 @@ STOPPING: Final = frozenset(" eq")
 
 
 def typed(keys: list[Key], *, tells_releases: bool) -> list[Key]:
-    """Return the keys without pasted text, except that the keys in STOPPING remain.
+    """Return `keys` without pasted text; the keys in STOPPING always remain.
 
-    Text is pasted if the terminal reports releases (`tells_releases`), or else if more than
-    MAX_AT_ONCE keys came at once.
+    Keys marked `is_text` count as pasted text in a terminal that reports key releases
+    (`tells_releases`), in others only if more than MAX_AT_ONCE keys came at once.
     """
     if not tells_releases and len(keys) <= MAX_AT_ONCE:
         return keys
@@ -90,7 +90,10 @@ class HandsWithReleases:
         self._patience_s = 0.0
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the motion of all held keys; None if it is unchanged and `keys` has no ANSWER."""
+        """Return the motion of all held keys, or None if it need not be sent.
+
+        It is sent when it has changed, and each time the terminal answers (ANSWER in `keys`).
+        """
         for key in keys:
             if key.name != ANSWER and not key.is_text:
                 self._hear(key, now_s)
@@ -106,7 +109,7 @@ class HandsWithReleases:
         return wish if changes or any(key.name == ANSWER for key in keys) else None
 
     def forget(self) -> None:
-        """Release all keys; repeats of a key that is still down are ignored."""
+        """Release all keys; a key that is still down counts only after it is pressed again."""
         self._held.clear()
         self._wish = STAND
 
@@ -138,7 +141,7 @@ class HandsWithoutReleases:
         self._is_forgotten = False
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the motion of the last steering key in `keys`, or None if the key is no repeat."""
+        """Return the wish of the last steering key in `keys`, None if that key does not repeat."""
         names = [key.name for key in keys if key.name in STEERING]
         is_pasted = len(keys) > MAX_AT_ONCE
         if not (names or is_pasted):
@@ -204,7 +207,7 @@ class Gamepad:
         return self._listener.fileno()
 
     def forget(self) -> None:
-        """Ignore the button until it has been released."""
+        """Command a stop until the operator has released the button that must be held."""
         self._is_forgotten = True
 
     def take(self) -> Wish | None:
@@ -284,7 +287,7 @@ class Speeds:
         self._share = min(max(self._share * factor, self._least), 1.0)
 
     def velocity(self, wish: Wish) -> tuple[float, float]:
-        """Return the wanted velocity [m/s, rad/s]."""
+        """Return the velocity of `wish` at the chosen speeds [m/s, rad/s]."""
         return (
             wish.forward * self._share * self._linear_mps,
             wish.left * self._share * self._angular_rps,  # also in reverse
@@ -296,10 +299,10 @@ class Speeds:
 
 
 class Holding:
-    """Requests the wanted motion; `message` is the reason of its last end or refusal.
+    """Requests the wanted motion; `message` says why the last motion ended or was refused.
 
-    If `want` is not called for MAX_SILENCE_S, the motion ends. The next call begins a new motion
-    with `silence_lets_go`, and fails without.
+    If `want` is not called for MAX_SILENCE_S, the motion ends. The next call begins a new motion if
+    `silence_lets_go` is True, otherwise it returns False.
     """
 
     def __init__(self, client: Client, params: Mapping[str, Any]) -> None:

@@ -100,10 +100,9 @@ class Printer:
             raise UsageError(str(error)) from None
 
     def print(self, data: bytes, time_ns: int, publish_ns: int, *, with_time: bool) -> None:
-        """Print a serialized message, or its field, as one line of JSON or as YAML.
+        """Print a serialized message, or the chosen field of it, as one line of JSON or as YAML.
 
-        Without JSON, the time [s] is printed only `with_time`. A field with a single value is one
-        line.
+        JSON always has both times. YAML has `time_ns`, in seconds, only if `with_time`.
         """
         value = self._value(data)
         if self._as_json:

@@ -110,7 +110,7 @@ _STDOUT: Final = 1
 
 
 def wait_while_stdout_open(driving: Background[DriveAnswer], at_most_s: float = inf) -> None:
-    """Wait until the drive ends, at most `at_most_s`.
+    """Wait until the drive ends or `at_most_s` seconds have passed, while stdout is open.
 
     Raises:
         KeyboardInterrupt: The reader of stdout has closed the pipe.

@@ -188,7 +188,7 @@ def check_view_installed() -> None:
 
 
 def start_view_of(robot: str) -> dict[str, Any]:
-    """Start a view that runs until the daemon ends, and return the view's report `ready`.
+    """Start a live view (Foxglove) of a robot until its daemon ends; return the view's URLs.
 
     Raises:
         RobotctlError: The view cannot be served.
@@ -201,7 +201,7 @@ def start_view_of(robot: str) -> dict[str, Any]:
 
 
 def start_view(job: ViewJob, log: Path | None = None) -> tuple[Child, dict[str, Any]]:
-    """Start the process of a view; return the process and its report `ready`.
+    """Start the process of a live view; return the process, and its URLs when it is ready.
 
     With a `log`, the view writes its stderr to this file, and may outlive this process.
 

@@ -66,7 +66,7 @@ RecordedBy = Annotated[
 def recordings_folder(robot: str | None, given: Path | None) -> Path:
     """Return the folder `given`, or else the folder with recordings of `robot`.
 
-    ./recordings counts first, then the folder of the last daemon. None means any robot.
+    That is ./recordings if it has any, else the last daemon's folder. None means any robot.
 
     Raises:
         UsageError: `given` is not a folder, or another user could have changed the daemon's note of

@@ -32,7 +32,7 @@ class RobotDaemon(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether the mode in the status is MOVING."""
+        """Whether the daemon's last status has the mode MOVING; False without a status."""
         return self.status is not None and self.status["mode"] == "MOVING"
 
 

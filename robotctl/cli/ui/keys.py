@@ -58,17 +58,17 @@ class Keyboard:
 
     @property
     def sources(self) -> list[int]:
-        """The descriptors of keys and Ctrl-Z, to wait for; empty without a terminal."""
+        """The file descriptors to wait for: keys, and Ctrl-Z. Empty without a terminal."""
         keys = [] if self._saved is None else [self._file]
         return keys if self._stop_asked < 0 else [*keys, self._stop_asked]
 
     @property
     def keys_from(self) -> int:
-        """The descriptor of the keys, or -1 if there are no keys."""
+        """The file descriptor to read keys from, or -1 if this process gets no keys."""
         return -1 if self._saved is None else self._file
 
     def read(self) -> str:
-        """Return the pressed keys as text, or "" for none; call this when a source is readable."""
+        """Return the pressed keys as text, or "" if there are none. It never waits for a key."""
         ready, _, _ = select.select(self.sources, [], [], 0.0)
         if self._stop_asked in ready:
             os.eventfd_read(self._stop_asked)
@@ -76,9 +76,9 @@ class Keyboard:
         return os.read(self._file, 64).decode(errors="ignore") if self._file in ready else ""
 
     def has_ended(self, ready: Sequence[object]) -> bool:
-        """Return whether the terminal is closed; call this only after `read` has returned "".
+        """Return whether the terminal is closed. Call this only if `read` has just returned "".
 
-        `ready` has those of the `sources` that were readable before that call.
+        `ready` has those of the `sources` that were readable before `read` was called.
         """
         return self._saved is not None and self._file in ready and self._stop_asked not in ready
 
@@ -148,9 +148,10 @@ class KeyEvent(Enum):
 
 
 class Key(NamedTuple):
-    """A key, named by its character, or `up`, `down`, `left`, `right`, or ANSWER.
+    """A key event. `name` is a character, an arrow (`up`, `down`, `left`, `right`) or ANSWER.
 
-    `is_text` is True if no release of the key will follow, as for pasted text.
+    ANSWER is no key: the terminal has answered a query. `is_text` is True if no release of the key
+    will follow, as for pasted text.
     """
 
     name: str
@@ -172,7 +173,7 @@ class KeyParser:
         self._is_pasted = False
 
     def feed(self, text: str, now_s: float) -> Iterator[Key]:
-        """Yield the keys in `text`, read at `now_s`; a sequence may continue in the next text."""
+        """Yield the keys in `text`, read at `now_s`; the next text may continue a sequence."""
         if not self._rest:
             self._rest_s = now_s
         text, self._rest = self._rest + text, ""
@@ -303,7 +304,7 @@ _ASK_FLAGS: Final = b"\x1b[?u"
 
 
 class TerminalAnswers:
-    """A context in which `ask` probes the terminal; `KeyParser` yields each answer as ANSWER."""
+    """A context to query the terminal in; `KeyParser` yields each answer as a key named ANSWER."""
 
     def __init__(self) -> None:
         self._file = -1
@@ -320,7 +321,7 @@ class TerminalAnswers:
         os.close(self._file)
 
     def ask(self) -> None:
-        """Send the query to the terminal, at most once in ASK_EACH_S."""
+        """Query the terminal, unless the last query was less than ASK_EACH_S ago."""
         now_s = time.monotonic()
         if now_s - self._asked_s >= ASK_EACH_S:
             self._asked_s = now_s

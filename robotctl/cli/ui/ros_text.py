@@ -13,12 +13,12 @@ from robotctl.cli.ui.text import printable
 
 
 def is_hidden(name: str) -> bool:
-    """Return whether a part of the name begins with _."""
+    """Return whether ROS tools hide this name: a part of it begins with an underscore."""
     return "/_" in name
 
 
 def print_names(graph: Any, kind: str, *, every: bool, as_json: bool, types: bool = False) -> None:
-    """Print the names of a `kind` in a Graph: topics, services or nodes."""
+    """Print the names in a ROS graph; `kind` is "topics", "services" or "nodes"."""
     found = [(each if kind == "nodes" else each["name"], each) for each in graph[kind]]
     listed = [(name, each) for name, each in found if every or not is_hidden(name)]
     lines = [printable(name) for name, _ in listed]

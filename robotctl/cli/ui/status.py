@@ -81,7 +81,7 @@ def is_observer(status: Mapping[str, Any]) -> bool:
 
 
 def status_rows(status: Status) -> Iterator[tuple[str, str]]:
-    """Yield the label and the text of each row, except for reason and topics."""
+    """Yield label and text of each row of `robotctl status`, except for reason and topics."""
     if not is_observer(status):
         yield "pose", pose_text(status)
         yield "velocity", velocity_text(status)

@@ -232,7 +232,7 @@ _INDENT = "  "
 
 
 def evidence_lines(answer: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of the report; `answer` is its object in `--json`."""
+    """Yield the lines of `robotctl evidence`; `answer` is its object in `--json`."""
     journal = answer["journal"]
     since = "" if answer["since_ns"] is None else f" since {moment(answer['since_ns'])}"
     yield f"robot {answer['robot']}{since}"

@@ -42,7 +42,7 @@ DISPLAYS: Final = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 class OpenAs(StrEnum):
-    """The command that `--open` runs."""
+    """The command that `find --open` runs for a row that was found."""
 
     REPORT = "report"
     CLIP = "clip"

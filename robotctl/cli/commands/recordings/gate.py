@@ -204,7 +204,7 @@ OPEN_LOOP = "the robot does not react, so how far and how well it would drive is
 
 
 def answer_object(place: Path, report: GateReport) -> dict[str, Any]:
-    """Return the object of `robotctl gate --json`; `place` is the folder."""
+    """Return the object of `robotctl gate --json`; `place` is the recordings' folder."""
     failures, unknown, totals = report.failures(), report.unknown(), report.totals()
 
     def state(path: Path) -> str:

@@ -44,7 +44,7 @@ def check_command(
 
 
 def report_lines(report: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines to print for a checked recording; `report` is its object in `--json`."""
+    """Yield the lines of `replay --check` for a recording; `report` is its JSON object."""
     verdict = Verdict(report["verdict"])
     yield f"{verdict.value:{LABEL_WIDTH}}{short_path(report['path'])}"
     if report["events"]:
@@ -133,11 +133,11 @@ def compare_command(
     resim: bool,
     as_json: bool,
 ) -> None:
-    """Compare each recording with a re-run under `settings`; print tables, or one JSON object.
+    """Re-run each recording with changed parameters, and print what differs, as tables or JSON.
 
-    With `resim`, a simulated robot repeats the drives, and `settings` may change that robot and
-    `rate_hz`, too. An argument among `files` that has an equals sign and names no file is one more
-    setting.
+    `settings` are texts KEY=VALUE; so is each of `files` that has an equals sign and does not
+    exist. With `resim`, a simulated robot repeats the drives: `settings` may then also change that
+    robot and `rate_hz`.
 
     Raises:
         UsageError: A setting is not allowed, or no recording is given.
@@ -196,7 +196,7 @@ OPEN_LOOP = (
 
 
 def what_if_lines(found: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines to print for one recording; `found` is its object in `--json`."""
+    """Yield the lines of `replay --what-if` for a recording; `found` is its JSON object."""
     yield f"{short_path(found['path'])}, {duration(found['duration_s'])}"
     yield OPEN_LOOP
     yield from settings_lines(found["settings"])
@@ -247,7 +247,7 @@ _SIDES = {"recorded": "recorded", "simulated": "simulated", "what_if": "what if"
 
 
 def resim_lines(found: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines to print for a simulated recording; `found` is its object in `--json`."""
+    """Yield the lines of `replay --resim` for a recording; `found` is its JSON object."""
     yield f"{short_path(found['path'])}, {duration(found['duration_s'])}"
     yield "  Simulated: the recorded parameters and requests, with a simulated robot."
     sides = [side for side in _SIDES if side != "what_if" or found["settings"]]

@@ -34,18 +34,18 @@ class Screen:
     """Displays the reports of the player process; this base class shows nothing."""
 
     def show(self, report: dict[str, Any]) -> None:
-        """Show a report: a note, the wait for subscribers, the start, or the progress."""
+        """Show a report of the player: a note, missing subscribers, the start, or the progress."""
 
     def suspend(self) -> None:
         """Stop drawing while other programs use the terminal."""
 
     def resume(self) -> None:
-        """Draw again."""
+        """Draw again after `suspend`."""
 
 
 @contextmanager
 def screen(robot: RecordedRobot | None, *, quiet: bool) -> Iterator[Screen]:
-    """Yield a screen for the progress and, if given, `robot`; it is empty if `quiet`."""
+    """Yield a screen that shows the progress and, if given, `robot`; `quiet` shows nothing."""
     if quiet:
         yield Screen()
     elif is_terminal():
@@ -334,7 +334,7 @@ def draw_command(job: Job, *, quiet: bool) -> None:
 
 @contextmanager
 def recorded_robot(job: Job) -> Iterator[tuple[RecordedRobot, Span]]:
-    """Open the recording of `job`; yield its robot over time, and the time span to play."""
+    """Open the recording of `job`; yield the robot's recorded state and the time span to play."""
     # Here, because only a drawn replay needs these: the import would delay the player by 50 ms.
     from robotctl.recording import Recording
     from robotctl.replay.recorded_robot import RecordedRobot

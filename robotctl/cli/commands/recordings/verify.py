@@ -110,7 +110,7 @@ def _gravest(answer: dict[str, Any]) -> RobotctlError | None:
 
 
 def verify_clip(clip: Path, source: Path, *, as_json: bool) -> None:
-    """Print whether a clip is a part of `source`, and the links of the seal over that part.
+    """Print whether a clip is an unchanged part of `source`, and which signatures cover it.
 
     Raises:
         Divergence: The clip or the source was changed, or the clip differs from the source.
@@ -194,7 +194,7 @@ def _links(file: WholeFile, start_ns: int, end_ns: int) -> dict[str, Any] | None
 def verify_together(paths: Sequence[Path], head: str = "", *, quiet: bool) -> dict[str, Any]:
     """Verify recordings and the chain of their files, and return the object for `--json`.
 
-    If `head` is given, one of the recordings must contain this digest.
+    `head` is the digest of a signed link that one of the recordings must contain, "" for none.
     """
     from robotctl.recording.read.whole_recording import Chain, VerifiedRecording, verify_recording
     from robotctl.recording.seal import known_heads
@@ -311,7 +311,7 @@ def recording_lines(report: dict[str, Any]) -> Iterator[str]:
 
 
 def summary_lines(summary: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines to print for the part of `--json` about all recordings."""
+    """Yield the lines about all recordings together: errors, notes, and what is not proved."""
     for name, label in (("wrong", "wrong"), ("notes", "note"), ("not_proved", "not proved")):
         for sentence in summary[name]:
             yield from row("", f"{label}: {sentence}")

@@ -37,7 +37,7 @@ app = new_app()
 
 @dataclass(frozen=True, slots=True)
 class FoundIncident:
-    """An incident, with the recordings that were searched for it."""
+    """An incident (a stop or a refusal), with the recordings that were searched for it."""
 
     path: Path
     """The recording of the incident."""
@@ -212,7 +212,7 @@ def _later(found: FoundIncident) -> str:
 
 
 def as_object(found: FoundIncident) -> dict[str, Any]:
-    """Return the object for `why --json`; `log_ns` is since the epoch."""
+    """Return the object for `why --json`; `log_ns` is the incident's time since the epoch."""
     from robotctl.check.journal import text_of
     from robotctl.check.why import explain, rule_of
 
