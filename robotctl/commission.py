@@ -58,15 +58,15 @@ class Motion:
 
     @property
     def wanted(self) -> float:
-        """The requested speed [m/s]; for a turn, the requested rate [rad/s]."""
+        """The requested velocity: linear [m/s], or angular [rad/s] for a turn on the spot."""
         return self.held.angular_rps if self.is_turn else self.held.linear_mps
 
     def sent(self) -> list[tuple[float, float]]:
-        """Return each command's time [s] and its speed [m/s], or its rate [rad/s] in a turn."""
+        """Return (time [s], velocity) of each command: in m/s, or in rad/s for a turn."""
         return [(c.t_s, c.angular_rps if self.is_turn else c.linear_mps) for c in self.commands]
 
     def way(self) -> list[tuple[float, float]]:
-        """Return each sample's time [s], and its distance [m] or turn [rad] from the first one."""
+        """Return (time [s], displacement) of each odometry sample: in m, or in rad for a turn."""
         begin = self.samples[0].pose if self.samples else ORIGIN
         if not self.is_turn:
             return [(each.t_s, begin.express(each.pose).x) for each in self.samples]
@@ -86,17 +86,17 @@ class Trial:
     motions: list[Motion] = field(default_factory=list)
 
     def begin(self, held: Held, t_s: float) -> None:
-        """Begin a motion at `t_s`, with the last sample before it."""
+        """Begin a motion at the velocity `held`, with the last odometry sample before `t_s`."""
         self.motions.append(Motion(held, t_s, samples=self.samples[-1:]))
 
     def sample(self, sample: TrialSample) -> None:
-        """Add a sample of odometry."""
+        """Add an odometry sample to the trial and to its newest motion."""
         self.samples.append(sample)
         if self.motions:
             self.motions[-1].samples.append(sample)
 
     def command(self, command: TrialCommand) -> None:
-        """Add a command of a motion."""
+        """Add a velocity command to the newest motion; ignore it before the first motion."""
         if self.motions:
             self.motions[-1].commands.append(command)
 

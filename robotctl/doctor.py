@@ -65,12 +65,12 @@ def ok(check: str, text: str) -> Finding:
 
 
 def warning(check: str, text: str, cure: str) -> Finding:
-    """Return a warning of `check`."""
+    """Return a warning as the finding of the check with this name, with the advice `cure`."""
     return Finding(check, Level.WARNING, text, cure)
 
 
 def fault(check: str, text: str, cure: str) -> Finding:
-    """Return a fault found by `check`."""
+    """Return a fault as the finding of the check with this name, with the advice `cure`."""
     return Finding(check, Level.FAULT, text, cure)
 
 

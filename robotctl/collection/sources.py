@@ -70,7 +70,7 @@ class LocalFile:
 
     @classmethod
     def of(cls, key: str, path: Path, status: os.stat_result) -> Self:
-        """Return the file `path` with the key `key` and the stat `status`."""
+        """Return the file at `path`, with the size and the mtime in its stat `status`."""
         return cls(key, path, status.st_size, status.st_mtime_ns)
 
     def sha256(self, pace: Pace) -> str:
@@ -118,7 +118,7 @@ class StoredFile:
 
     @property
     def modified_ns(self) -> int:
-        """The time of writing [ns since the epoch], of storing for a listed object."""
+        """When the file was written [ns since the epoch]; in a bucket's listing, when stored."""
         return self.found.modified_ns
 
     def with_stamp(self) -> StoredFile:
@@ -171,7 +171,7 @@ class OfferedRecording:
 
 
 def recording_of(key: str) -> str:
-    """Return the name of the recording of a file with the path `key` in a copy."""
+    """Return a file's recording: the first part of its path `key` in a copy, without `.mcap`."""
     return key.partition("/")[0].removesuffix(SUFFIX)
 
 
@@ -231,7 +231,7 @@ def _is_copied(key: str) -> bool:
 
 
 def is_one_recording(place: Path) -> bool:
-    """Return whether `place` is a recording, or another file, and no folder of recordings."""
+    """Return whether `place` is one recording: a file, or a folder with a `metadata.yaml`."""
     return not place.is_dir() or (place / METADATA_FILE).is_file()
 
 

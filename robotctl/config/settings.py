@@ -162,7 +162,7 @@ _TEXTS: Final[Mapping[str, tuple[Callable[[str], object], str, str]]] = {
 
 
 def checked_value(key: str, value: object, kind: Any, metadata: Mapping[str, Any]) -> object:
-    """Return `value` as the type `kind` of `key`; `metadata` is that of the dataclass field.
+    """Return the value of `key` in a file as the type `kind`, within the limits in `metadata`.
 
     Raises:
         ConfigError: The value is not allowed.
@@ -235,7 +235,7 @@ def is_topic_pattern(value: object) -> bool:
 
 
 def not_allowed(key: str, value: object, allowed: str) -> ConfigError:
-    """Return the error for a value; `allowed` is advice."""
+    """Return the error that `value` is not allowed for `key`, with the advice `allowed`."""
     return ConfigError(f"{key}: {short_repr(value)} is not allowed", allowed)
 
 
@@ -244,18 +244,14 @@ log_warning: Callable[[str], object] = logging.getLogger(__name__).warning
 
 
 def check_together(kernel: KernelParams) -> None:
-    """Check that no two parameters of the kernel conflict.
-
-    Raises:
-        ConfigError: Two values are allowed separately, but not together.
-    """
+    """Raise ConfigError if two kernel parameters are allowed separately, but not together."""
     clash = conflict(kernel)
     if clash is not None:
         raise not_allowed(*clash)
 
 
 def warn_of_retired(key: str, warn: Callable[[str], object], where: str = "") -> bool:
-    """Return whether `key` is retired; if so, call `warn` with a sentence after `where`."""
+    """Return whether `key` is retired; if so, call `warn` with the text `where` and a sentence."""
     instead = retired.CONFIG_KEYS.get(key)
     if instead is not None:
         warn(f"{where}{key} is retired and ignored: {instead}")
@@ -365,7 +361,7 @@ _KINDS = {bool: Kind.BOOLEAN, int: Kind.INTEGER, float: Kind.NUMBER, str: Kind.T
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """The description of a parameter; `range` is None except for numbers with limits."""
+    """A parameter's key, type, default and help; `range` is None except for bounded numbers."""
 
     key: str
     kind: Kind
@@ -556,7 +552,7 @@ def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
 
 
 def flatten(settings: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield dotted key and value of each setting. The value of a key in RATE_KEYS is a mapping."""
+    """Yield each setting of a nested mapping as (dotted key, value); rates by topic are a value."""
     for name, value in settings.items():
         key = f"{prefix}{name}"
         if isinstance(value, dict) and key not in RATE_KEYS:

@@ -49,7 +49,7 @@ PROBE_NODE = "_command_probe"
 
 
 async def choose_command_type(host: Host) -> CommandType:
-    """Return the configured command type, or for `auto` that of the robot's subscribers."""
+    """Return Twist or TwistStamped, as configured or, for `auto`, as the robot subscribes."""
     command = host.config.kernel.command
     if command.stamped is Stamping.AUTO and not (host.alone or host.options.sim):
         chosen = await _taken_type(host, command)
@@ -81,12 +81,10 @@ LOOK_S: Final = 0.05
 
 
 async def refuse_same_names(host: Host) -> None:
-    """Refuse to start if another daemon in the domain has a `mode_service` of the same full name.
+    """Raise Refused if another daemon has a `mode_service` of the same full name in the domain.
 
     Call this before the daemon has a publisher. It waits for the discovery of the domain's nodes.
-
-    Raises:
-        Refused: There is such a daemon, and `--allow-same-names` is not set.
+    With `--allow-same-names` it does nothing.
     """
     options = host.options
     if host.alone or options.allow_same_names:
@@ -144,7 +142,7 @@ def _note_start(
 async def noted(
     log: DecisionLog, options: DaemonOptions, config: Config, recorder: FlightRecorder
 ) -> AsyncIterator[None]:
-    """Log the daemon's start, run the block, log the end or failure and close `log`."""
+    """Write the daemon's start and, after the block, its end to the journal `log`; close `log`."""
     _note_start(log, options, config, recorder)
     recorder.tidier.on_removed = lambda path: log.add(DecisionKind.REMOVED, file=path)
     failure: dict[str, str] = {}

@@ -19,7 +19,7 @@ from robotctl.kernel.patterns import PatternKind
 
 @dataclass(frozen=True, slots=True)
 class DaemonOptions:
-    """The options of a daemon. A `sim` of None simulates unless odometry has a publisher."""
+    """A daemon's options. With `sim` None, it simulates a robot unless odometry has a publisher."""
 
     robot: str
     config: Path | None

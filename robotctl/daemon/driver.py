@@ -214,7 +214,7 @@ class Driver:
             raise RobotctlError("the daemon was stopped before it was ready")
 
     def mode(self) -> str:
-        """Return the name of the mode."""
+        """Return the name of the robot's mode."""
         return self._control.state.mode.name
 
     async def stop_robot(self) -> None:

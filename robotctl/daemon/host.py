@@ -88,7 +88,7 @@ class Diagnostics:
 
 
 def diagnose(warnings: Sequence[str]) -> Diagnosis:
-    """Return the diagnosis of the daemon."""
+    """Return the daemon's warnings as a diagnosis for /diagnostics."""
     values = {f"warning {n}": text for n, text in enumerate(warnings[:MAX_WARNINGS], start=1)}
     if not warnings:
         return Diagnosis("daemon", DiagnosticLevel.OK, "no warnings", values)

@@ -58,13 +58,13 @@ class _Burst:
 
 
 class Repeats:
-    """A filter that passes WRITTEN equal warnings or errors in WINDOW_S, and all lower levels."""
+    """Passes a warning or error at most WRITTEN times in WINDOW_S, and all lower levels always."""
 
     def __init__(self) -> None:
         self._bursts: dict[tuple[str, int, str, str], _Burst] = {}
 
     def admit(self, record: logging.LogRecord) -> Iterator[logging.LogRecord]:
-        """Yield notes on bursts that are over, and `record` if it is one of the first WRITTEN."""
+        """Yield a note on each burst that is over, then `record` unless it repeats too often."""
         yield from self._over(record.created)
         if record.levelno < logging.WARNING:
             yield record
@@ -252,7 +252,7 @@ Publish = Callable[[logging.LogRecord, str], None]
 
 
 class LoopHandler(LineHandler):
-    """Publishes the records of all threads in the loop, without blocking these threads.
+    """Queues log records of all threads without blocking, and publishes them in the loop.
 
     A later line reports the number of lost lines. Records that `publish` logs are ignored.
     """

@@ -49,7 +49,7 @@ class Observer:
         host.supervisor.report_to(self._note)
 
     def methods(self) -> Mapping[str, Method[Any]]:
-        """Return the methods of the control socket, of which those of a robot refuse each call."""
+        """Return the control socket's methods by name. Those that need a robot refuse each call."""
         return {
             **common_methods(self._status, self._host.stop),
             **recording_methods(self.recorder, self._host.options.robot),
@@ -72,7 +72,7 @@ class Observer:
             _log.info("stopping")
 
     def mode(self) -> str:
-        """Return "observing"."""
+        """Return "observing" in place of a robot's mode."""
         return OBSERVING
 
     async def stop_robot(self) -> None:

@@ -30,7 +30,7 @@ Setting = tuple[str, Any]
 
 
 class Parameters:
-    """Owns the present configuration except the kernel's parameters."""
+    """Reads and changes a running daemon's configuration, of which the kernel owns its own part."""
 
     def __init__(
         self, config: Config, control: Control, on_change: Callable[[Config], None]
@@ -132,7 +132,7 @@ def _served_by(key: str, nodes: Container[str]) -> str:
 
 
 def list_method(config: Callable[[], Config]) -> dict[str, Method[Any]]:
-    """Return the method `param_list` by name; `config()` returns the present configuration."""
+    """Return the method `param_list` by name, which lists the parameters in `config()`."""
 
     async def get_list(_: NoParams) -> ParameterList:
         return {"parameters": listed(config())}

@@ -28,7 +28,7 @@ _log.setLevel(logging.INFO)  # changes are logged even if all loggers are set hi
 
 
 class LoggerLevels:
-    """Gets and sets levels of Python's loggers; robotctl's own have the ROS name `own`."""
+    """Gets and sets Python logger levels by ROS name; all loggers of robotctl are named `own`."""
 
     def __init__(self, own: str) -> None:
         self.own = own
@@ -83,7 +83,7 @@ class LoggerLevels:
         return refusal
 
     def apply(self, levels: Iterable[LogLevel]) -> None:
-        """Set the levels of a command line that `refusal` allows."""
+        """Set the levels given on a command line, except those that `refusal` refuses."""
         for each in levels:
             self.change(each.logger, each.level, "the command line")
 

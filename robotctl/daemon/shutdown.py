@@ -34,9 +34,10 @@ async def stand_still(
     ramp_down_s: float = RAMP_DOWN_S,
     now_ns: Callable[[], int] = time.monotonic_ns,
 ) -> None:
-    """Ramp down, or command zero after `ramp_down_s` without standstill, and send a last zero.
+    """Stop the robot at the daemon's end: ramp down, then send a last zero velocity.
 
-    The kernel starts no motion afterwards. `published()` returns the number of commands sent.
+    After `ramp_down_s` without standstill, zero is commanded at once. No motion starts afterwards.
+    `published()` returns the number of commands sent so far.
     """
     control.dispatch(FaultReported(now_ns(), Cause.DAEMON_ENDS, _ENDING))
     for mode in (Mode.IDLE, Mode.ERROR):

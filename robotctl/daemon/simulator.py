@@ -27,10 +27,10 @@ async def simulate(
     at_end: ExitStack,
     only_if_missing: bool = False,
 ) -> None:
-    """Run a simulated robot until a signal ends it.
+    """Run a simulated robot until a signal such as SIGTERM ends it.
 
-    `on_ready` is called when the robot runs. With `only_if_missing`, none runs if the odometry
-    topic has a publisher. The caller closes `at_end` afterwards to leave the ROS domain.
+    `on_ready()` is called once it runs. With `only_if_missing`, no robot is run if the odometry
+    topic has a publisher already. The caller closes `at_end` last, to leave the ROS domain.
     """
     stop = end_signals()
     topics = config.kernel
@@ -51,7 +51,7 @@ async def simulate(
 
 
 def simulated_robot(session: Session, config: Config, command_type: CommandType) -> SimulatedRobot:
-    """Return the robot that the configuration describes, for commands of `command_type`."""
+    """Return a simulated robot as configured, which subscribes to commands of `command_type`."""
     topics = config.kernel
     return SimulatedRobot(
         session,
@@ -67,7 +67,7 @@ def simulated_robot(session: Session, config: Config, command_type: CommandType)
 def recorded_robot(
     session: Session, config: Config, command_type: CommandType, tap: Tap
 ) -> SimulatedRobot:
-    """Subscribe the daemon's recorder to the robot's topics, then return the simulated robot."""
+    """Return the simulated robot, after subscribing the daemon's recorder to its topics."""
     topics = config.kernel
     tap.subscribe_own(odometry_topic(topics.odometry.topic))
     if topics.battery.topic:

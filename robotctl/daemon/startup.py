@@ -36,9 +36,9 @@ class StartReport:
             os.set_inheritable(ready_fd, False)
 
     def send(self, report: Mapping[str, Any]) -> None:
-        """Send a report, on `ready_fd` only the first one.
+        """Send a report; on `ready_fd`, only the first one is sent.
 
-        If the report of a ready daemon cannot be written to `ready_fd`, SIGTERM ends the daemon.
+        If the report of a ready daemon cannot be written there, SIGTERM ends the daemon.
         """
         line = f"{json.dumps(report)}\n".encode()
         if not self._in_background:  # stdout may block: the loop must not wait

@@ -32,7 +32,7 @@ Work = Callable[[], Coroutine[Any, Any, None]]
 class Supervisor:
     """Runs all tasks, and reports their failures as faults.
 
-    A failed task starts again; its fault lasts until the daemon ends. No memory ends the daemon.
+    A failed task starts again, but its fault stays. The daemon ends if it runs out of memory.
     """
 
     def __init__(self, end: Callable[[], None]) -> None:
@@ -71,7 +71,7 @@ class Supervisor:
             loop.default_exception_handler(context)
 
     def report_state(self, cause: Cause, problem: str) -> None:
-        """Report the fault `cause`, or clear it if `problem` is ""."""
+        """Report a fault with this cause and text, or clear the fault if the text is ""."""
         if self._dispatch is not None:
             now = time.monotonic_ns()
             fault = FaultReported(now, cause, problem[:MAX_DETAIL])

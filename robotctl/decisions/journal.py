@@ -285,7 +285,7 @@ def head_of(folder: Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class OpenedLine:
-    """An OPENED entry, whose value `journal` must equal the digests in `before`."""
+    """An OPENED entry. Its value `journal` must equal `before`, the digests of the lines before."""
 
     entry: Entry
     place: str
@@ -310,16 +310,15 @@ class LogContent:
 
     @property
     def begins_later(self) -> bool:
-        """Whether the first files of the journal are missing, as after `remove_oldest`."""
+        """Whether the oldest files of the journal are gone, as after `remove_oldest`."""
         return bool(self.files) and _number_of(self.files[0]) > 1
 
 
 def read_log(folder: Path) -> LogContent:
-    """Return the content of the journal in `folder`.
+    """Return the entries of the journal in `folder`, and what is wrong with its files.
 
-    `broken` and `notes` name missing and unreadable files, and torn lines. Other changed or removed
-    lines show in digests: compare those in `opened` with `before`, those of recordings with
-    `heads`.
+    `broken` and `notes` report missing or unreadable files and torn lines. Other changes show in
+    digests: each of `opened` must equal its `before`, those in recordings must be in `heads`.
     """
     log = LogContent(files_of(folder))
     numbers = [_number_of(path) for path in log.files]

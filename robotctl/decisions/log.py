@@ -100,7 +100,7 @@ class DecisionLog:
         self._counts_due_s = 0.0
 
     def add(self, kind: DecisionKind, **values: Any) -> None:
-        """Queue an entry as `add_values` does."""
+        """Queue an entry with the keyword arguments as its values; see `add_values`."""
         self.add_values(kind, values)
 
     def add_values(self, kind: DecisionKind, values: Mapping[str, Any]) -> None:

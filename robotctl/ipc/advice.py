@@ -50,7 +50,7 @@ _COMMAND = re.compile(
 
 
 class Advice(NamedTuple):
-    """A problem as `cause`, and advice as `cure`, which is "" if nothing helps."""
+    """A problem (`cause`), and what the operator can do about it (`cure`, "" if nothing helps)."""
 
     cause: str
     cure: str
@@ -62,7 +62,7 @@ class Advice(NamedTuple):
 
 
 def advice(text: str, remedies: Iterable[Remedy], robot: str) -> Advice:
-    """Return `text` as the cause and `remedies` as the cure, for the operator of `robot`."""
+    """Return the problem `text` and the cures for `remedies`, with commands for `robot`."""
     cure = ", then ".join(cure_of(remedy, robot) for remedy in remedies)
     return Advice(for_robot(text, robot), cure)
 

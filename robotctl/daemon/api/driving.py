@@ -140,9 +140,9 @@ class DrivingMethods:
         size_m: float | None = None,
         speed_mps: float | None = None,
     ) -> Pattern:
-        """Return a pattern, with configured values for arguments that are None.
+        """Return the pattern to drive, with configured values for arguments that are None.
 
-        The configured size applies to the configured kind only; other kinds have their own default.
+        Only the configured kind has the configured size; other kinds have their own default.
 
         Raises:
             UsageError: The speed is above the configured limit.
@@ -160,7 +160,7 @@ class DrivingMethods:
         )
 
     async def begin(self, kind: PatternKind, source: str) -> Reply:
-        """Request one lap of an open pattern or endless ones of a closed one; return the reply."""
+        """Request a drive of one lap, or endless if the pattern is closed; return the reply."""
         pattern, laps = self.pattern(kind), default_laps(kind, wait=False)
         event = DriveRequested(*self._control.stamp(), pattern, laps, False, source)
         return await self._control.request(event)
@@ -295,7 +295,9 @@ class DrivingMethods:
         }
 
     def begin_goal(self, goal: Goal, source: str, *, remote: bool) -> GoalDrive:
-        """Request the drive of `goal` at once; a `remote` goal may come from another host.
+        """Request the drive of an action's goal, and return before the kernel's reply.
+
+        `remote` means that another host may have sent the goal.
 
         Raises:
             ValueError: The goal has 0 laps, an unknown pattern, or a speed above the limit.

@@ -28,7 +28,7 @@ def simulation_methods(
     control: Control,
     mark: Callable[[str, str], object],
 ) -> dict[str, Method[Any]]:
-    """Return the methods `sim_set` and `sim_fault`; `mark(text, source)` marks the recording."""
+    """Return methods `sim_set` and `sim_fault` by name; `mark(text, source)` records each use."""
 
     def robot() -> SimulatedRobot:
         found = simulated()

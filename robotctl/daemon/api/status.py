@@ -93,7 +93,7 @@ class StatusSource:
         self._started = time.monotonic()
 
     def status(self, stats: RecorderStats) -> Status:
-        """Return the object of `robotctl status --json`, with the recorder's counts in `stats`."""
+        """Return what `robotctl status --json` prints; `stats` is the recorder's counts."""
         robot, report = self._options.robot, self._robot
         unknown = cast(RobotFacts, dict.fromkeys(RobotFacts.__annotations__))
         facts = unknown if report is None else report.facts()
@@ -115,7 +115,7 @@ class StatusSource:
         }
 
     def summary(self, notes: list[str]) -> StartSummary:
-        """Return the report of a ready daemon to the process that started it."""
+        """Return what a ready daemon reports to the process that started it, with `notes`."""
         status = self.status(self.recording.stats())
         return {
             "ready": True,

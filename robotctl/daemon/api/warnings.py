@@ -69,11 +69,11 @@ class Warnings:
         self._wider_discovery = wider_discovery()
 
     def now(self, stats: RecorderStats) -> list[str]:
-        """Return all warnings, with the recorder's counts in `stats`."""
+        """Return all present warnings; `stats` is the recorder's counts."""
         return [for_robot(warning, self._robot) for warning in self._all(stats)]
 
     def of_recording(self, stats: RecorderStats) -> list[str]:
-        """Return only the warnings of the recorder."""
+        """Return only the warnings about the recording; `stats` is the recorder's counts."""
         return [for_robot(warning, self._robot) for warning in of_recording(self._recorder, stats)]
 
     def _all(self, stats: RecorderStats) -> Iterator[str]:

@@ -39,7 +39,7 @@ class ProcessorWait:
             return
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file in /proc from which the waiting time is read."""
         if self._account is not None:
             os.close(self._account)
             self._account = None
@@ -84,7 +84,7 @@ ACCOUNT_PERIOD_NS = 100_000_000
 
 
 class Gate(Protocol):
-    """The methods of the command publisher that the watchdog uses."""
+    """A command publisher that the watchdog can close for all commands except its zeros."""
 
     def close_gate(self) -> None:
         """Pass only zeros from now on; called in the watchdog's thread."""
@@ -93,13 +93,13 @@ class Gate(Protocol):
         """Publish a zero while the gate is closed; called in the watchdog's thread."""
 
     def open_gate(self) -> tuple[int, int]:
-        """Pass all commands again, and return the counts of zeros sent and of commands withheld."""
+        """Pass all commands again; return the numbers of zeros sent and of commands withheld."""
 
 
 class Watchdog:
-    """Sends zeros from a thread, through `gate`, while the loop's ticks are missing.
+    """Commands zero velocity from a thread of its own while the control loop does not tick.
 
-    The zeros end when the loop calls `take`. A C call that holds the GIL blocks this thread too.
+    The zeros end when the loop calls `take`. A C call that holds the GIL blocks this thread, too.
     """
 
     def __init__(
@@ -259,7 +259,7 @@ class ControlLoop:
         )
 
     async def run(self, look_at_odometry: Callable[[], None]) -> None:
-        """Handle others' commands, then odometry, then a tick in each period, until cancelled."""
+        """In each period, handle commands of others, odometry, then a tick, until cancelled."""
 
         def decide(tick: LoopTick) -> None:
             self.look_at_commands()

@@ -72,13 +72,13 @@ T = TypeVar("T", Reply, DriveEnded)
 
 
 class Pending(Generic[T]):
-    """Futures of replies or of ends of drives, by request id. For the loop's thread only."""
+    """Futures by request id, of replies or of ends of drives. For the loop's thread only."""
 
     def __init__(self) -> None:
         self._waiting: dict[int, asyncio.Future[T]] = {}
 
     def expect(self, request_id: int) -> asyncio.Future[T]:
-        """Return the future whose result `settle` sets for this request."""
+        """Return a new future for this request, whose result `settle` sets."""
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         self._waiting[request_id] = future
         future.add_done_callback(lambda _: self._waiting.pop(request_id, None))
@@ -92,7 +92,7 @@ class Pending(Generic[T]):
 
 
 class PendingRequests:
-    """Request ids, and the futures of replies and of ends of drives."""
+    """Gives each request an id, and has the futures of its reply and of its drive's end."""
 
     def __init__(self) -> None:
         self.replies: Pending[Reply] = Pending()
@@ -106,18 +106,18 @@ class PendingRequests:
         return self._last_id
 
     def expect_reply_now(self, request_id: int) -> None:
-        """Expect the request's reply during the next dispatch, for `reply_now`."""
+        """Announce that the next dispatch brings this request's reply, for `reply_now`."""
         self._replies_now[request_id] = None
 
     def keep_now(self, reply: Reply) -> bool:
-        """Keep a reply that `expect_reply_now` announced; return whether it was announced."""
+        """Keep the reply if `expect_reply_now` announced it; return whether it did."""
         is_expected = reply.request_id in self._replies_now
         if is_expected:
             self._replies_now[reply.request_id] = reply
         return is_expected
 
     def reply_now(self, request_id: int) -> Reply:
-        """Return the reply that `keep_now` kept."""
+        """Return the reply to this request, which its dispatch has brought, and forget it."""
         reply = self._replies_now.pop(request_id)
         assert reply is not None, "the request was dispatched while another event was handled"
         return reply
@@ -193,7 +193,7 @@ class Control:
         self._journal.snapshot(t_ns, self._kernel)
 
     def stamp(self) -> tuple[int, int]:
-        """Return the first two fields of a request, the steady time [ns] and a new id."""
+        """Return the first two fields of a new request: the steady time [ns] and an id."""
         return time.monotonic_ns(), self._requests.new_id()
 
     def begin(self, event: Request) -> asyncio.Future[Reply]:
@@ -219,7 +219,7 @@ class Control:
         return self._requests.reply_now(event.request_id)
 
     def expect_end(self, request_id: int) -> asyncio.Future[DriveEnded]:
-        """Return the future of the end of the request's drive."""
+        """Return a future that is set when the drive of this request ends."""
         return self._requests.ends.expect(request_id)
 
     def _step(self, event: Event) -> None:

@@ -54,7 +54,7 @@ class Effects:
     """Returns an ended drive, with NaN for errors that were not measured."""
 
     def carry_out(self, effect: Effect) -> None:
-        """Carry out an effect. A reply waits at most DISK_S for the latch to be on the disk."""
+        """Carry out an effect. A reply is sent once the latch is on the disk, or after DISK_S."""
         if isinstance(effect, PublishTwist):
             self.publish_twist(effect.twist)
             return

@@ -87,7 +87,7 @@ LOOKS_PER_INSPECTION = 5
 async def has_odometry_publisher(
     odometry: OdomSubscriber, stop: asyncio.Event, until_s: float
 ) -> bool:
-    """Return whether odometry gets a publisher before `stop` or the time `until_s` [steady s]."""
+    """Return whether odometry gets a publisher before `stop` is set or `until_s` [steady s]."""
     remaining_s = until_s - time.monotonic()
     await until(lambda: odometry.count_publishers() > 0 or stop.is_set(), remaining_s)
     return odometry.count_publishers() > 0
@@ -117,7 +117,7 @@ async def watch_graph(
 
 
 class Inputs:
-    """The handlers of all inputs, for the loop's thread."""
+    """Handlers that pass inputs from ROS to the kernel. Call them in the loop's thread."""
 
     def __init__(
         self,
@@ -138,7 +138,7 @@ class Inputs:
             self._robot_report.drove_to(odometry.pose)
 
     def hears(self, kind: Callable[..., Event]) -> Callable[..., None]:
-        """Return a handler that dispatches an event made of the present time and its arguments."""
+        """Return a handler whose call with values dispatches the event `kind(now_ns, *values)`."""
         return lambda *values: self._control.dispatch(kind(time.monotonic_ns(), *values))
 
     def guarded_command(self, twist: Twist, publisher: str, sequence: int) -> None:
@@ -169,7 +169,7 @@ HOST = slice(4)
 
 
 def is_remote(own_gid: bytes) -> bool:
-    """Return whether the present request may come from another host, which clients can forge."""
+    """Return whether the request being handled may be of another host. Clients can forge this."""
     # Even with discovery limited to this machine, another host may name it as its static peer.
     gid = requester()
     return not is_on_this_machine_only() if gid is None else gid[HOST] != own_gid[HOST]

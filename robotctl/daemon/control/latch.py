@@ -128,7 +128,7 @@ class _Waiter:
 
 
 class Latch:
-    """The latch of one robot, for the loop's thread; its own thread writes to the disk."""
+    """The saved emergency stop of a robot, for the loop's thread; another writes the file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -149,12 +149,12 @@ class Latch:
         return read(self._path)
 
     def set(self, reason: str, cause: Cause) -> None:
-        """Start to save a stop."""
+        """Begin to save a stop on the disk; `when_settled` reports the result."""
         stop = LatchedStop(reason, cause)
         self._begin(partial(write, self._path, stop), "a restart would forget this stop")
 
     def clear(self) -> None:
-        """Start to remove the saved stop."""
+        """Begin to remove the saved stop from the disk; `when_settled` reports the result."""
         fault = "a restart would stop the robot again"
         self._begin(partial(remove, self._path), fault)
 
@@ -178,7 +178,7 @@ class Latch:
         self._waiters.append(waiter)
 
     def warning(self) -> str:
-        """Return a sentence about an outdated file, or ""."""
+        """Return a sentence if the file could not be brought up to date, else ""."""
         problem, since = self._problem, self._busy_since
         if since is not None and time.monotonic() - since > DISK_S and self._change is not None:
             problem = self._overdue(self._change)

@@ -26,7 +26,7 @@ from robotctl.ros.nodes.publishers import CommandLock
 
 
 class TrueErrors(NamedTuple):
-    """A drive's errors by the true pose. `closure_m` is NaN until lap 1 is complete."""
+    """A drive's errors by the simulated robot's true pose. `closure_m` is NaN until lap 1 ends."""
 
     cross_track_rms_m: float
     cross_track_max_m: float
@@ -48,7 +48,7 @@ class GroundTruth:
         self._closure_m = nan
 
     def follow(self, drive: Drive, measured: Pose) -> None:
-        """Add the error of the present true pose; odometry has the pose `measured`."""
+        """Add the present true pose to the errors of `drive`; `measured` is the odometry's pose."""
         true = self.truth()
         if true is None or not drive.path.segments:
             return
@@ -65,7 +65,7 @@ class GroundTruth:
             self._closure_m = end.distance(pose)
 
     def end(self, ended: DriveEnded) -> None:
-        """Set the true closure of a drive that ended with a lap."""
+        """Add the true closure error of the last lap, if the drive ended when that lap ended."""
         true, drive = self.truth(), self._drive
         if true is None or drive is None or drive.request_id != ended.request_id:
             return
@@ -75,7 +75,7 @@ class GroundTruth:
             self._closure_m = end.distance(self._seen_from_odometry(true))
 
     def errors(self, request_id: int) -> TrueErrors | None:
-        """Return the errors of the drive that `request_id` began, None if unknown."""
+        """Return the errors of the drive `request_id`, None unless it is the newest drive."""
         if self._drive is None or request_id != self._drive.request_id:
             return None
         score = self._score
@@ -243,7 +243,7 @@ SHOW_PERIOD_S = 1.0
 
 
 class ShownStatus:
-    """Publishes the robot status and the command lock."""
+    """Publishes the robot's status, and whether its mode locks velocity commands of other nodes."""
 
     def __init__(self, modes: ModeService, control: Control, lock: CommandLock) -> None:
         self._lock = lock
@@ -251,7 +251,7 @@ class ShownStatus:
         self._control = control
 
     def show(self, mode: Mode) -> None:
-        """Publish the lock for `mode`, then mode, battery level and whether odometry is fresh."""
+        """Publish the command lock and the status: `mode`, battery level, freshness of odometry."""
         self._lock.show(mode)
         level = self._control.state.health.battery_level
         level = level if is_level(level) else nan

@@ -50,7 +50,7 @@ def clip_command(job: ClipJob) -> Sequence[str]:
 
 
 class BlackBox:
-    """Cuts clips in processes. Use this in the loop's thread."""
+    """Cuts a clip around each stop or error in a separate process. For the loop's thread."""
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class BlackBox:
             await self._came.wait()
 
     async def finish(self) -> None:
-        """Cut the clips that remain when the recording is closed; begin none after `end_s`."""
+        """Cut the clips that wait at the recording's end; begin none after `end_s` seconds."""
         until = time.monotonic() + self._limits.end_s
         if self._cutting is not None:
             await asyncio.wait({self._cutting}, timeout=self._limits.end_s)

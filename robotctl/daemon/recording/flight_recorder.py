@@ -38,7 +38,7 @@ from robotctl.ros.tap.tap import Tap
 
 
 def in_loop(call: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return a function that calls `call` in the running loop, from any thread."""
+    """Return a function for any thread, which schedules `call` in the loop that runs now."""
     loop = asyncio.get_running_loop()
 
     def post(argument: Any) -> None:
@@ -52,7 +52,7 @@ _log = logging.getLogger(__name__)
 
 
 class FlightRecorder:
-    """Records robotctl's own topics at once, and other topics while the tasks of `work` run."""
+    """Records robotctl's own topics from its creation on, others while the tasks of `work` run."""
 
     def __init__(
         self,

@@ -20,9 +20,10 @@ LAST_TIMEOUT_S = 2.0
 
 
 class HeadForwarder:
-    """Publishes each head of the seal, and runs a program with it. Use only in the loop's thread.
+    """Publishes each head (newest digest) of a file's seal, and runs a program with it.
 
     The program's last arguments are the head (hex) and the file's name. Runs skip outdated heads.
+    Use it only in the loop's thread.
     """
 
     def __init__(self, command: str, publish: Callable[[str], object] | None) -> None:
@@ -45,7 +46,7 @@ class HeadForwarder:
         """Why the last run of the program failed, or ""."""
 
     def take(self, head: Head) -> None:
-        """Publish a head, and schedule a run of the program."""
+        """Publish a new head of the seal, and schedule a run of the configured program."""
         if self._publish is not None:
             self._publish(head.digest)
         if self._command:

@@ -92,7 +92,7 @@ NOT_INSTALLED: Final = (
 
 
 def has_grown(files: int, indexed: int) -> bool:
-    """Return whether `files` is at least 1.5 times `indexed`, the files at the last indexing."""
+    """Return whether a recording has 1.5 times as many files as when it was last indexed."""
     return 2 * files >= 3 * indexed
 
 
@@ -115,7 +115,7 @@ class Indexer:
 
     @property
     def problem(self) -> str:
-        """A sentence with the count of failures and the last reason, or ""."""
+        """A sentence with the number of failed indexings and the last reason, "" if none failed."""
         if not self._failures:
             return ""
         times = "once" if self._failures == 1 else f"{self._failures} times"

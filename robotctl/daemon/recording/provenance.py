@@ -138,9 +138,10 @@ SHORT_CHARACTERS: Final = 16
 
 @cache
 def software(package: Path = Path(robotctl.__file__).parent) -> dict[str, str]:
-    """Return the short hash of each module of CONTROL_PATH, and under DIGEST one digest of all.
+    """Return a short SHA-256 of each module that computes velocity commands, by module path.
 
-    The digest is the SHA-256 of the lines of sha256sum(1) by name. Files are read only once.
+    The key DIGEST has one hash of all: the SHA-256 of the lines that sha256sum(1) prints for them,
+    sorted by path. The files are read only once.
     """
     hashes = dict(_hashes(package))
     lines = "".join(f"{value}  {name}\n" for name, value in sorted(hashes.items()))

@@ -59,7 +59,7 @@ class HeavyTopics:
         """Data rates [bytes/s] of the heavy topics over the last HEAVY_WINDOW_S."""
 
     def sample(self, t_ns: int, sizes: Mapping[TopicKey, int]) -> None:
-        """Add the bytes received until the steady time `t_ns`."""
+        """Update `rates`. `sizes` has the bytes received by topic until the steady time `t_ns`."""
         samples = self._samples
         samples.append((t_ns, sizes))
         while len(samples) > 2 and t_ns - samples[1][0] >= HEAVY_WINDOW_S * NS_PER_S:
@@ -93,7 +93,7 @@ class _Row(msgspec.Struct):
 
 
 def topic_rows(topics: Sequence[TopicStats], rates: Mapping[TopicKey, float]) -> msgspec.Raw:
-    """Return the JSON list of topics in the status, with the rate 0 if `rates` lacks a topic."""
+    """Return the topics of the status as a JSON list. Topics missing in `rates` have the rate 0."""
     rows = [
         _Row(
             each.name,
@@ -118,7 +118,7 @@ MAX_TOPICS = 100
 
 
 def diagnose(stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-    """Return the recorder's diagnosis."""
+    """Return the recorder's state as a diagnosis for /diagnostics."""
     if stats.state is not RecorderState.RECORDING:
         level, message = DiagnosticLevel.ERROR, stats.failure or stats.state.value
     elif stats.dropped or stats.lost:
@@ -167,7 +167,7 @@ class RecorderReport:
         self._logged_memory = False
 
     def stats(self) -> RecorderStats:
-        """Return the current counts, the argument `stats` of the other methods."""
+        """Return the recorder's present counts, which the other methods get as `stats`."""
         return self._recorder.stats()
 
     def facts(self, stats: RecorderStats) -> RecordingFacts:
@@ -203,11 +203,11 @@ class RecorderReport:
             _log.warning("messages %s", NO_MEMORY)
 
     def diagnosis(self, stats: RecorderStats, warnings: Sequence[str]) -> Diagnosis:
-        """Return the result of `diagnose`, with the robot's name in suggested commands."""
+        """Return the recorder's diagnosis, with `--robot NAME` in commands that it suggests."""
         return diagnose(replace(stats, failure=for_robot(stats.failure, self._robot)), warnings)
 
     def heavy_warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield the name of each heavy topic that can be excluded, with a warning."""
+        """Yield (topic, warning) for each heavy topic that may be excluded from recordings."""
         for (topic, _), bytes_per_s in self._heavy.rates.items():
             if self._filter.can_leave_out(topic):
                 rate = f"{topic} brings {bytes_per_s / 1e6:.1f} MB/s"

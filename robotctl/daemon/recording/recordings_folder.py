@@ -40,7 +40,7 @@ MAX_NAMED: Final = 10
 class DiskReserve:
     """Stops recording topics, the heaviest first, while less than `least_bytes` are free.
 
-    `gates` has the gates of each topic that may be stopped. Use only in the loop's thread.
+    `gates` has the message filters of topics that may be stopped. Use only in the loop's thread.
     """
 
     def __init__(self, least_bytes: int, gates: Mapping[str, Sequence[MessageGate]]) -> None:
@@ -152,10 +152,10 @@ def open_recorder(
     evidence: frozenset[str] = frozenset(),
     names: Mapping[str, str] | None = None,
 ) -> Recorder:
-    """Start the recording ROBOT_DATE_TIME.
+    """Start a recording in a new folder ROBOT_DATE_TIME, and return its recorder.
 
     Any thread may call the callbacks. `on_full` must schedule a call of the recorder's `split`.
-    `evidence` are the full names of topics that checks need. `names` becomes metadata.
+    `evidence` has the full names of topics that checks need. `names` is added to the metadata.
 
     Raises:
         Refused: The recording cannot be written.

@@ -79,7 +79,7 @@ class TopicWatch:
         return (self._count - self._window[0][1]) / self._window_s
 
     def look(self, now_s: float, count: int, newest_s: float) -> None:
-        """Update `trouble` from the `count` of the messages and the time of the newest message."""
+        """Update `trouble`: `count` messages have arrived so far, the newest at `newest_s`."""
         if count != self._count:
             if newest_s - self.newest_s >= self._patience_s:
                 self._begin(newest_s)  # a window that contains the silence would look slow
@@ -90,7 +90,7 @@ class TopicWatch:
         self.trouble = self._judge(now_s)
 
     def look_at_publishers(self, now_s: float, next_numbers: Mapping[bytes, int]) -> None:
-        """Detect a restart from the publishers' next sequence numbers, the oldest one first."""
+        """Detect a restart by each publisher's next sequence number, the oldest publisher first."""
         if len(next_numbers) != self._publishers:
             if self._publishers:
                 self._replaced = now_s, dict(islice(next_numbers.items(), self._publishers))
@@ -103,7 +103,7 @@ class TopicWatch:
                 self.restarted_s, self._replaced = since_s, None
 
     def pause(self, now_s: float) -> None:
-        """Begin new windows, after a time without calls of `look`."""
+        """Discard the measured windows, after a time in which `look` was not called."""
         if self.trouble is not Trouble.SILENT:
             self.newest_s = now_s
         self._begin(now_s)
@@ -174,7 +174,7 @@ class LearnedPeriod:
         self._fewest, self._most = inf, 0.0
 
     def look(self, now_s: float, count: int, newest_s: float, *, late: bool) -> float | None:
-        """Count the messages; return the period [s] once learned. A `late` gap is not judged."""
+        """Add the present message count; return the mean gap [s], None until it is learned."""
         if self._first is None:
             if count != self._before:
                 self._first, self._last_s = (newest_s, count), newest_s
@@ -246,7 +246,7 @@ EVENTS: Final = frozenset(
 
 
 def may_be_learned(topic: str, type_name: str) -> bool:
-    """Return False for topics of actions, of service events and of EVENTS."""
+    """Return whether to learn a topic's rate: not for actions, service events, types in EVENTS."""
     is_call = "/_action/" in topic or topic.endswith("/_service_event")
     return not (is_call or type_name in EVENTS)
 
@@ -264,7 +264,7 @@ class Arrivals(Protocol):
 
     @property
     def expected(self) -> Mapping[bytes, int]:
-        """The next sequence number by publisher's gid; the publisher known longest is first."""
+        """The next sequence number of each publisher by its gid, in order of first appearance."""
 
 
 @dataclass(slots=True)
@@ -311,7 +311,7 @@ class TopicHealth:
         learns: bool,
         now_s: float,
     ) -> None:
-        """Watch `channel` of the topic `name`, and with `learns` learn a missing rate."""
+        """Watch a channel's message rate. With `learns`, learn it if none is configured."""
         self._topic(name, type_name, learns=learns, now_s=now_s).channels.append(channel)
 
     def _topic(self, name: str, type_name: str, *, learns: bool, now_s: float) -> _Topic:
