@@ -140,7 +140,7 @@ def _internal_error(request: Request) -> bytes:
 
 
 class Connection:
-    """Serves one client. With `over_cap`, it serves only hello and an emergency stop."""
+    """Serves one client. If there are too many (`over_cap`), only hello and an emergency stop."""
 
     def __init__(
         self,

@@ -109,7 +109,7 @@ def _turn(at: Pose, angle: float) -> Turn:
 
 
 class PatternKind(Enum):
-    """The patterns by name."""
+    """The kinds of pattern that can be driven, by the names in the configuration."""
 
     SQUARE = "square"
     CIRCLE = "circle"
@@ -121,7 +121,7 @@ class PatternKind(Enum):
 
 
 class SizeName(Enum):
-    """The name of the size of a pattern."""
+    """What the size of a pattern measures: the side of a square, a radius, or a length."""
 
     SIDE = "side"
     RADIUS = "radius"

@@ -123,7 +123,7 @@ UNKNOWN = Health()
 
 @dataclass(frozen=True, slots=True)
 class Guarded:
-    """A motion that another node steers; `t_ns` is the time of its last request, None if never."""
+    """A motion that another node steers: its last requested velocity, and when (None if never)."""
 
     twist: Twist = ZERO
     t_ns: int | None = None

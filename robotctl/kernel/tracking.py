@@ -65,7 +65,7 @@ class Reference:
 
 
 def track(reference: Reference, pose: Pose, gains: TrackingParams, limits: VelocityLimits) -> Twist:
-    """Return a command that leads a robot at `pose` to the reference; `angular` is not limited."""
+    """Return a command that leads a robot at `pose` to the reference; only `linear` is limited."""
     error = pose.express(reference.pose)
     ahead, aside = direction(error.theta)
     sinc = aside / error.theta if abs(error.theta) > 1e-6 else 1.0

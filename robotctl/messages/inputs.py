@@ -353,7 +353,7 @@ def _count(message: CdrReader, most: int) -> int:
 
 
 class Diagnoses:
-    """The last level of each DiagnosticStatus name, except those that the robot itself sends."""
+    """The last level of each DiagnosticStatus by name, without robotctl's own for `robot`."""
 
     def __init__(self, robot: str) -> None:
         self._robot = robot
