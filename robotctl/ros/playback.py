@@ -101,7 +101,10 @@ class RequestSender:
         """Request -> its number of client events minus its number of server events."""
 
     def __call__(self, data: bytes) -> bool | None:
-        """Send an event's request; return whether that worked, None without one or for a repeat."""
+        """Send the request of a serialized event, and return whether that worked.
+
+        Return None if the event has no request, or if its request was sent already.
+        """
         try:
             event = deserialize_message(data, self._event_type)
         except _rclpy.RCLError:

@@ -235,11 +235,7 @@ class ViewerHost(Protocol):
         """Add a viewer whose handshake is done."""
 
     def request(self, viewer: Viewer, request: ViewRequest) -> None:
-        """Carry out a request of a viewer.
-
-        Raises:
-            WrongRequest: The request cannot be carried out.
-        """
+        """Carry out a request of a viewer, or raise WrongRequest if that is impossible."""
 
     def leave(self, viewer: Viewer) -> None:
         """Forget a connection that has ended, admitted or not."""

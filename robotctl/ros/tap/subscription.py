@@ -212,7 +212,7 @@ class TypeLoader:
         return since_s is not None and time.monotonic() - since_s > SLOW_LOAD_S
 
     async def pause(self, at_most_s: float) -> None:
-        """Sleep for `at_most_s` seconds, or less if a load ends and no other type waits for one."""
+        """Sleep for `at_most_s` seconds, or less if a load ends and no other type waits to load."""
         self._all_loaded.clear()
         with suppress(TimeoutError):
             async with asyncio.timeout(at_most_s):
