@@ -53,7 +53,7 @@ class Decoder:
         return values
 
     def _read(self, message: Field, reader: CdrReader) -> list[Any]:
-        """Return the values of the leaves of the next message, which has the type of `message`."""
+        """Return the primitive values of the next message in `reader`, in field order."""
         plan = self._plans.get(message.type_name)
         if plan is None:
             plan = self._plans[message.type_name] = self._plan(message)
@@ -96,7 +96,7 @@ class Decoder:
         return [self._nested(item, iter(self._read(item, reader))) for _ in range(count)]
 
     def _nested(self, field: Field, values: Iterator[Any]) -> Any:
-        """Return the value of a field from the leaves at the front of `values`."""
+        """Return the value of a field (dict, list or single value) from the next `values`."""
         if field.shape is FieldShape.ONE and field.is_message:
             fields = self._definition.types[field.type_name]
             return {each.name: self._nested(each, values) for each in fields}

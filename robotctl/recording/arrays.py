@@ -99,7 +99,7 @@ def read_arrays(
 
 
 def _places(table: TopicTable, path: str) -> Sequence[int]:
-    """Return the positions in a row of the columns of the field `path`."""
+    """Return the numbers of the columns that hold the field `path`: several for a fixed array."""
     try:
         parse_path(table.definition, path)
     except WrongValue as error:

@@ -471,7 +471,7 @@ class Converter:
     """Writes the source files, one after the other, into the files of a new recording."""
 
     def __init__(self, name_of: Callable[[int], Path], form: Form) -> None:
-        """`name_of` returns the path of the file with a number from 0."""
+        """`name_of` gets the number of an output file, from 0, and returns its path."""
         self._name_of = name_of
         self._form = form
         self.table = ChannelTable()
@@ -515,7 +515,7 @@ class Converter:
         self.done.lost += (f"{source.name}: {sentence}" for sentence in source.lost)
 
     def _file_for(self, source: ConvertibleFile) -> OutputFile:
-        """Return the current or a new output file for the beginning of `source`."""
+        """Return the output file in which `source` begins: the current one, or else a new one."""
         output = self._output
         if output is None:
             return self._begin(source)

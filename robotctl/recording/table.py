@@ -182,7 +182,7 @@ class _LineFeeds:
 
 
 def _changed(columns: Sequence[FieldPath], rows: Iterable[Row], of_list: _Change) -> Iterable[Row]:
-    """Return the rows with bytes as base64 text, and lists as `of_list` converts them."""
+    """Return the rows with bytes replaced by base64 text, and each list by `of_list(list)`."""
     changes = {ValueKind.BYTES: _base64, ValueKind.LIST: of_list, ValueKind.NESTED: of_list}
     places = [
         (place, changes[column.kind])

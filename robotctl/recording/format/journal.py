@@ -45,7 +45,7 @@ MAX_NAME_BYTES = 255
 
 
 class _Layouts(dict[int, struct.Struct]):
-    """The layout of an entry up to its data, by the size of its name."""
+    """The binary layout of an entry before its data, by the size of its name [bytes]."""
 
     def __missing__(self, name_bytes: int) -> struct.Struct:
         if not 0 < name_bytes <= MAX_NAME_BYTES:

@@ -82,7 +82,7 @@ def compare_with_source(clip: Path, source: Path) -> Origin:
 def _differences(
     clip: Recording, source: Recording, about: Mapping[str, str], origin: Origin
 ) -> Iterator[str]:
-    """Yield a sentence per difference outside the messages. Later source files are ignored."""
+    """Yield each difference, except in messages, between `clip` and the source files it names."""
     named = about.get("of", "").split(", ")
     files = [each for each in source.open_files if each.path.name in named]
     if [each.path.name for each in files] != named:

@@ -139,7 +139,7 @@ def index_from_summary(file: InputFile, *, places: bool = True) -> FileIndex:
 
 
 def _set_times(index: FileIndex, told: tuple[int, int], chunks: list[tuple[int, int]]) -> None:
-    """Set the log times of the index to those of the chunks or, if it is wider, to `told`."""
+    """Set the time range of `index` to that of the chunks, or to `told` if that is wider."""
     known = [each for each in chunks if each[0] <= each[1] and each != (0, 0)]  # others are empty
     if known:
         start_ns, end_ns = min(start for start, _ in known), max(end for _, end in known)

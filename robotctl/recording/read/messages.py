@@ -182,10 +182,10 @@ class PlaceReader:
         return file.file.limits.records - file.index.records.others(self.place.offset)
 
     def _wanted(self, data: bytes) -> Iterator[HeadBlock]:
-        """Yield position and head of the messages of selected channels, in lists.
+        """Yield lists of (position, record head) of the messages of the wanted channels.
 
         Raises:
-            Damaged: After the last message, if the place is damaged.
+            Damaged: The place is damaged. It is raised after the last readable message.
         """
         records = others = unknown = 0
         offset, index = self.place.offset, self.file.index

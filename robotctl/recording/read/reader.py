@@ -376,7 +376,7 @@ _AFTER_ALL = (1 << 64, 0)
 
 
 def _load(source: PlaceReader, room: int | None, on_missing: Callable[[str], None]) -> None:
-    """Load a place if it fits into `room` [bytes], always for None."""
+    """Load a place, or report it if it needs more than `room` [bytes]; None means no limit."""
     try:
         if room is not None and source.place.size_in_memory(source.file.file) > room:
             source.loaded = True

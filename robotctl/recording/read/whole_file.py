@@ -370,7 +370,7 @@ def _compare_crcs(
 ) -> None:
     """Compare the CRCs (stored, computed) of the bytes `covered` (start, end).
 
-    The flaw is the byte of one flipped bit, or else `span` unless `place_known`.
+    The flaw is the byte in which one flipped bit explains it, else `span` (none if `place_known`).
     """
     told, found = crcs
     start, end = covered
