@@ -161,7 +161,7 @@ def test_no_folder_has_more_modules_than_one_sees_at_once() -> None:
         assert count <= MOST_MODULES, f"{folder} has {count} modules"
 
 
-CEILINGS = {"robotctl": (319, 66_104), "tests": (218, 55_000)}
+CEILINGS = {"robotctl": (319, 66_102), "tests": (218, 55_000)}
 """How many files and lines there may be."""
 
 

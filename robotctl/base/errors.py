@@ -152,7 +152,7 @@ _KINDS = (
 def error_for_exit_code(
     exit_code: int, text: str, details: Mapping[str, Any] | None = None
 ) -> RobotctlError:
-    """Return the error of another process; `details` is the result of its `details()`."""
+    """Return the error of another process, made of its exit code, text and `details()`."""
     error = {kind.exit_code: kind for kind in _KINDS}.get(exit_code, RobotctlError)(text)
     details = details or {}
     cause, cure, answer = (details.get(name) for name in ("cause", "cure", "answer"))

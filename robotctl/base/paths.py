@@ -73,7 +73,7 @@ def runtime_folder() -> Path:
 
 
 def unit_runtime_base(robot: str) -> Path:
-    """Return the folder in RUNTIME_VARIABLE of a daemon that a systemd system unit starts."""
+    """Return the XDG_RUNTIME_DIR that the robot's daemon has if a systemd system unit starts it."""
     return SYSTEM_RUNTIME / f"{UNIT_PREFIX}{robot}"
 
 

@@ -41,7 +41,7 @@ def results_of(
 ) -> Iterator[tuple[Path, Result | None]]:
     """Call `function` for each recording; yield recording and result in the order of completion.
 
-    Jobs that are lost with a process run again, each alone; the result of a second loss is None.
+    If a process dies, the unfinished jobs run again, one by one; a job that dies again yields None.
     """
     done = 0
     lost: list[Path] = []

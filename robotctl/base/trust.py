@@ -47,9 +47,9 @@ class FolderChain:
         self._trusted = (ROOT_UID, os.getuid(), guest)
 
     def for_client(self) -> FolderChain:
-        """Return a chain that also trusts the owner of `base` if the environment sets `variable`.
+        """Return a chain that also trusts the owner of `base`, the user whose daemon is called.
 
-        Root trusts any owner. Other users trust the owner of a systemd unit's runtime folder.
+        Only if `variable` is set. Root trusts any owner, others only the owner of a unit's folder.
         """
         if not os.environ.get(self.variable):
             return self

@@ -46,10 +46,7 @@ SERVICES = (
 
 
 class RecordedAnswer(NamedTuple):
-    """A response to a call; `publish_ns` is the time of sending.
-
-    `mode` is None if the service has no field for it.
-    """
+    """A response to a call, sent at `publish_ns`; `mode` is None if the service has no mode."""
 
     ok: bool
     text: str
@@ -115,7 +112,7 @@ _BUSY = re.compile(r"busy: \d+ requests wait for their reply; try again")
 
 @dataclass(slots=True)
 class Asked:
-    """A request in the journal, the entry `seq`; `moments` are the times of its step."""
+    """A request for a mode, in journal entry `seq`; `moments` are the times of its handling."""
 
     seq: int
     requested: int
@@ -162,7 +159,7 @@ END_NS = 2 * NS_PER_S
 
 
 class ServiceChecks:
-    """Checks all services that request a mode, from the first snapshot with a `Proof` on."""
+    """Checks all services that request a mode, once a snapshot has a `Proof` (count and CRC)."""
 
     def __init__(self, report: Report, topics: RobotTopics, clock: ClockChanges) -> None:
         open_calls: dict[tuple[bytes, int], Call] = {}
@@ -176,7 +173,7 @@ class ServiceChecks:
         return {each.topic: each.message for each in self._all if each.is_recorded}
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Begin the comparison at a snapshot with a `Proof`."""
+        """Begin the comparison if the snapshot has a `Proof` (command count and CRC)."""
         if snapshot.proof is not None and not self._is_on:
             self._is_on = True
             for each in self._all:
@@ -269,7 +266,7 @@ class ServiceCheck:
             self._calls.append(call)
 
     def request(self, event: ModeRequested, seq: int, moments: Moments) -> None:
-        """Add the request `event`, the journal's entry number `seq`."""
+        """Add the mode request `event` of journal entry `seq`, if it came by this service."""
         if event.source == self._source and not self._is_full:
             asked = Asked(seq, event.requested, moments)
             self._open_requests[event.request_id] = asked
@@ -286,7 +283,7 @@ class ServiceCheck:
         return max(len(self._calls), len(self._asked)) >= MAX_CALLS
 
     def end(self, ending: Ending, moment: JournalEnd) -> None:
-        """Report the differences; `ending` and `moment` describe the end of the journal."""
+        """Report the differences between calls and journal; call this at the end of the journal."""
         if self._unreadable:
             self._report.miss(f"{self._unreadable} messages of {self.topic} cannot be read")
             return

@@ -57,7 +57,7 @@ TICK_AFTER_ODOMETRY_NS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """The initial odometry and battery level (0..1), if the kernel does not know them."""
+    """The first recorded odometry and battery level (0..1), for a kernel that knows none yet."""
 
     odometry: Odometry | None = None
     battery: float | None = None
@@ -172,7 +172,7 @@ class Run:
             self.requests[event.request_id] = event
 
     def effect(self, effect: Effect, t_ns: int) -> None:
-        """Add a refusal or the end of a drive."""
+        """Add `effect`, at steady time `t_ns`, if it refuses a request or ends a drive."""
         if isinstance(effect, Reply) and not effect.ok and effect.request_id in self.requests:
             self.refused[effect.request_id] = effect.message
         elif isinstance(effect, DriveEnded):

@@ -120,9 +120,9 @@ def follows(number: int, other: int) -> bool:
 
 @dataclass(slots=True)
 class DecidedCommand:
-    """A command in the journal: its six `numbers`, and the `moments` of its step.
+    """A command in the journal: its six velocities (`numbers`), and the times of its step.
 
-    `withheld` is the time of the zero that replaced the command in a stall.
+    `withheld` has the times of a stall in which the watchdog may have sent a zero instead.
     """
 
     numbers: bytes
@@ -131,7 +131,7 @@ class DecidedCommand:
 
 
 class SentCommand(NamedTuple):
-    """A recorded command, the message number `place`; `t_ns` is the time of the event before."""
+    """A recorded velocity command, number `place`, after a journal event at steady time `t_ns`."""
 
     numbers: bytes
     publish_ns: int
@@ -147,7 +147,7 @@ class OtherPublishers:
         """Begin and end of each period."""
 
     def begin(self, health: Health, t_ns: int) -> None:
-        """Add the other publishers in `health`, which is from a snapshot at `t_ns`."""
+        """Add the other publishers that the kernel knew at a snapshot, at steady time `t_ns`."""
         topic = health.command_topic
         if topic.foreign_t_ns is not None:
             self._seen.append((topic.foreign_t_ns, topic.foreign_t_ns))
@@ -212,7 +212,7 @@ class CommandCounts:
 
 
 class CommandPairs:
-    """Compares decided and sent commands, from the first snapshot with a `Proof` on."""
+    """Compares decided and sent commands once a snapshot has a `Proof` (command count and CRC)."""
 
     def __init__(self, clip_begin_ns: float = 0.0) -> None:
         self.counts = CommandCounts()
@@ -262,7 +262,7 @@ class CommandPairs:
         self._waiting.slot(number).sent.append(sent)
 
     def resume(self, proof: Proof, health: Health, t_ns: int) -> None:
-        """Begin or continue at a snapshot; `proof` has the number of commands sent before it."""
+        """Compare commands from a snapshot on; `proof` has the number of commands before it."""
         number = proof.commands & MAX_SEQUENCE
         more = (proof.commands - self._number) & MAX_SEQUENCE
         was_moving = bool(self._recent) and not is_zero(self._recent[-1].numbers)
@@ -404,10 +404,10 @@ class CommandPairs:
                 counts.after_end += 1
 
     def end(self, cut: int, *, is_own: bool, is_closed: bool) -> None:
-        """Count the commands and messages without a counterpart at the end of the recording.
+        """Count the decided commands without a message, and the messages without a decision.
 
-        Up to `cut` messages may have a later decision. A received journal (not `is_own`) may end
-        before the commands.
+        Up to `cut` messages may be decided after the journal's end, as in a clip. A journal
+        received from a robot (not `is_own`) may end before the last commands.
         """
         end_ns = inf if is_own else self._t_ns - JOURNAL_LAG_NS
         doubted: list[SentCommand] = []
@@ -474,7 +474,7 @@ class CommandCheck:
         self._pairs.message(message.sequence, message.data, message.publish_ns)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Begin or continue at a snapshot with a `Proof`."""
+        """Begin or continue to compare if the snapshot has a `Proof` (command count and CRC)."""
         if snapshot.proof is not None:
             self._pairs.resume(snapshot.proof, snapshot.state.health, t_ns)
 

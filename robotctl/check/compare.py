@@ -99,7 +99,7 @@ class JournalFormat:
         self._vocabulary: Vocabulary | None = Vocabulary()
 
     def begin(self, entry: JournalEntry) -> None:
-        """Report a first snapshot that names this version, but has other fields.
+        """Report a first snapshot that claims to be of this version, but has other fields.
 
         Raises:
             UnreadableFile: The entry is not a snapshot of this version.
@@ -182,7 +182,7 @@ class Comparison:
 
     @property
     def same_arithmetic(self) -> bool:
-        """Whether the kernel's own functions computed the floats."""
+        """Whether the recording's floats are from robotctl's own functions, not a C library's."""
         return self.made_by.startswith(OWN_ARITHMETIC)
 
     @property
@@ -204,7 +204,7 @@ class Comparison:
             )
 
     def same(self, recorded: str, value: object) -> bool:
-        """Return whether the recorded JSON text equals `value` by the rules of this Comparison."""
+        """Return whether a recorded JSON text equals `value`, bit for bit only if `is_exact`."""
         if recorded.encode() == _quick_json(value):
             return True
         mine = to_json(value)
@@ -246,7 +246,7 @@ class Comparison:
 
 
 class Decided(NamedTuple):
-    """The result of one step; `effects` is None after a divergence or without a kernel."""
+    """The result of re-running a step; `effects` is None if it diverged or was not re-run."""
 
     event: Event
     effects: tuple[Effect, ...] | None = None
@@ -270,9 +270,9 @@ class Rerun:
         self.kernel = None
 
     def snapshot(self, entry: JournalEntry) -> tuple[Snapshot, Divergence | None]:
-        """Compare the kernel with a recorded snapshot, then continue from that snapshot.
+        """Compare the re-run kernel with a recorded snapshot, then continue from that snapshot.
 
-        Return the snapshot, and the divergence or None. Without a kernel, only check the text.
+        Return the snapshot, and the divergence or None. Without a kernel, only its text is checked.
 
         Raises:
             UnreadableFile: This version cannot read the snapshot, or rejects its parameters.

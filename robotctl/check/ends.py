@@ -34,7 +34,7 @@ IN_SOURCE = "a clip does not tell what was lost, its source does"
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """The end of a recording for one of its topics."""
+    """How a recording ended, for the comparison of one topic: its losses, whether it is whole."""
 
     report: Report
     invariants: Invariants
@@ -46,7 +46,7 @@ class Ending:
     """Whether the recorder wrote the journal itself; a received journal may lag."""
 
     is_whole: bool
-    """Whether the recording is a folder with its last file."""
+    """Whether the recording is a folder that includes the last recorded file."""
 
     has_begin: bool
     """Whether the journal has its first entry."""
@@ -66,14 +66,14 @@ class Ending:
         return sum(ledger.get(count, 0) for count in ("lost", "unseen", "dropped"))
 
     def accuse(self, text: str) -> None:
-        """Report a violation, or a note if a gap or a divergence may explain the difference."""
+        """Report `text` as a violation, or as a note if a gap or a divergence may explain it."""
         if self.has_gaps or self.report.divergence is not None:
             self.report.notes.append(text)
         else:
             self.invariants.violate(text)
 
     def lack(self, count: int, text: str) -> None:
-        """Report `count` absent messages, as a violation unless losses may explain them."""
+        """Report that `count` messages are missing: a violation, unless losses may explain it."""
         if count <= self.lost:
             self.report.notes.append(f"{text}: {self.lost} were counted as lost")
         elif self.ledger is None:
@@ -83,7 +83,7 @@ class Ending:
 
     @property
     def unknown_losses(self) -> str:
-        """The reason for the unknown losses of a recording without a ledger."""
+        """The reason, as text, why the losses of a recording without a ledger are not known."""
         return IN_SOURCE if self.is_clip else "it was not closed, so its losses are not known"
 
 
@@ -92,9 +92,9 @@ EndingOf = Callable[[str | None], Ending]
 
 
 class JournalEnd(NamedTuple):
-    """The end of the journal: `t_ns` is steady, `log_ns` since the epoch.
+    """The time of the journal's last entry: `t_ns` is steady, `log_ns` since the epoch.
 
-    `stalled_ns` is the stalled time shortly before; `clock_changed` is about the wall clock.
+    The control loop stalled for `stalled_ns` just before; `clock_changed`: the wall clock jumped.
     """
 
     t_ns: int
@@ -134,7 +134,7 @@ class JournalOrigin:
         self._was_received = not self._noted or message.log_ns != message.publish_ns
 
     def check(self, report: Report) -> None:
-        """Report the limits of the check, if the journal was received from another process."""
+        """Report what is not compared, if the journal was received from another process."""
         if self.is_own:
             return
         report.notes.append(NOT_COMPARED)
@@ -143,7 +143,7 @@ class JournalOrigin:
 
 
 def differing_parameters(noted: Mapping[str, str], params: KernelParams) -> Iterator[str]:
-    """Yield a sentence for each initial kernel parameter that differs from the metadata `noted`."""
+    """Yield a sentence for each parameter in `params` that differs from the metadata `noted`."""
     config = Config(kernel=params)
     values = flat(config)
     for key, leaf in keyed_leaves(config):
@@ -234,11 +234,11 @@ class RecordingEnds:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the recording is a folder with its last file."""
+        """Whether the recording is a folder that includes the last recorded file."""
         return self._recording.path.is_dir() and not self._goes_on
 
     def entry(self, seq: int) -> None:
-        """Read the number of the next journal entry."""
+        """Add the sequence number of a journal entry, to know the first and the last one."""
         if self._first_seq < 0:
             self._first_seq = seq
         self._last_seq = max(seq, self._last_seq)
@@ -258,7 +258,7 @@ class RecordingEnds:
             report.miss(sentence, is_outside=True)
 
     def snapshot(self, entry: JournalEntry, snapshot: Snapshot) -> int:
-        """Read a snapshot; return the `seq` of the previous one, 0 if absent or without proof."""
+        """Read a snapshot; return the previous one's entry number, 0 if none or without `Proof`."""
         before = max(self._last_snapshot, 0)
         self._last_snapshot = entry.seq if snapshot.proof is not None else -1
         reported = snapshot.state.health.reported
@@ -312,7 +312,7 @@ class RecordingEnds:
             self._report.notes.append("it was not closed: it has no loss ledger to check")
 
     def ending(self, topic: str | None) -> Ending:
-        """Return the `Ending` of the recording for `topic`; call `check` first."""
+        """Return how the recording ended, for the comparison of `topic`; call `check` first."""
         return Ending(
             self._report,
             self._invariants,
@@ -352,7 +352,7 @@ class JournalChain:
     def is_whole(self, entry: JournalEntry, proof: Proof | None) -> bool:
         """Return whether the CRC over the entries before a snapshot equals the CRC in `proof`.
 
-        Without a proof, at the beginning and after a gap, return True.
+        Also return True where they cannot be compared: no `proof`, at the beginning, after a gap.
         """
         if proof is None or entry.seq != self._seq:
             return True
@@ -370,7 +370,7 @@ NOT_PROVED: Final = (
 
 
 class SnapshotProofs:
-    """Checks the `Proof` of each snapshot of a journal: all snapshots have one, or none has."""
+    """Checks the `Proof` (command count and CRC) of a journal's snapshots: all have one or none."""
 
     def __init__(self, report: Report, chain: JournalChain, invariants: Invariants) -> None:
         self._report = report

@@ -26,7 +26,7 @@ MAX_MESSAGES_AFTER = 2000
 
 
 class IncidentKind(StrEnum):
-    """The kind of an incident."""
+    """Why the robot stopped, or that a request was refused."""
 
     FAULT = "fault"
     """The kernel stopped the robot because of a fault."""
@@ -42,10 +42,10 @@ class IncidentKind(StrEnum):
 
 @dataclass(slots=True)
 class Incident:
-    """A step of the kernel that stopped the robot or refused a request; for KILL, the last step.
+    """A step of the kernel (an event and its effects) that stopped the robot or refused a request.
 
-    Times are steady [ns]; `log_ns` (time of recording) and `zero_ns` (first zero command after the
-    step) are since the epoch. None means not recorded.
+    For KILL, it is the last recorded step. Times are steady [ns]; only `log_ns` (time of recording)
+    and `zero_ns` (first zero command after the step) are since the epoch. None means not recorded.
     """
 
     kind: IncidentKind

@@ -94,7 +94,7 @@ class UnheardChange:
         self._before_ns = self._unheard_ns = 0
 
     def message(self, shown: ShownValue) -> None:
-        """Store a message."""
+        """Add a recorded message of the publisher, to be checked later."""
         self._waiting.append(shown)
 
     def heard(self, sequence: int) -> None:
@@ -109,7 +109,7 @@ class UnheardChange:
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Check the messages up to the newest input; `stall_ns` extends UNHEARD_NS."""
+        """Check messages up to the newest input; losses for UNHEARD_NS + `stall_ns` are allowed."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
@@ -117,7 +117,7 @@ class UnheardChange:
             self._heard.clear()
 
     def end(self, log_ns: int, stall_ns: int) -> None:
-        """Check the messages up to the journal's end `log_ns`; `stall_ns` extends UNHEARD_NS."""
+        """Check messages until the end `log_ns`; losses for UNHEARD_NS + `stall_ns` are allowed."""
         self.settle(stall_ns)
         for shown in self._waiting:
             if shown.log_ns <= log_ns:
@@ -247,7 +247,7 @@ class InputPairs:
         return (last - first) * NS_PER_S / (self._last_ns - self._first_ns)
 
     def message(self, message: Message, value: Any) -> None:
-        """Read a message of the topic."""
+        """Add a message of the topic; `value` is what its input in the journal should have."""
         number = message.sequence
         if number <= self._newest and message.publish_ns > self._sent_ns:
             self._has_others = True
@@ -259,7 +259,7 @@ class InputPairs:
         self._pair(number, slot)
 
     def received(self, number: int, found: Input) -> None:
-        """Read an input of the journal; `number` is that of its message, or 0 for no message."""
+        """Add an input of the journal; `number` is its message's sequence number, 0 for none."""
         if number:
             begin_ns, _ = self._lives.get(found.source, (found.t_ns, 0))
             self._lives[found.source] = begin_ns, found.t_ns
@@ -272,7 +272,7 @@ class InputPairs:
         self._waiting.clear()
 
     def end(self, t_ns: int, stalled_ns: int) -> None:
-        """Count all unpaired inputs and messages at `t_ns`; stalls delay inputs by `stalled_ns`."""
+        """Count unpaired inputs and messages at the end `t_ns`, after stalls of `stalled_ns`."""
         left = [*self._waiting.rest()]
         newest = max((number for number, slot in left if slot.sent), default=0)
         newest = newest if self.has_one_publisher else 0
@@ -354,7 +354,7 @@ def _same(one: Any, other: Any, tolerance: float) -> bool:
 
 
 class InputCheck:
-    """Compares inputs and messages of one topic, from the first snapshot with a `Proof` on."""
+    """Compares inputs and messages of a topic once a snapshot has a `Proof` (count and CRC)."""
 
     def __init__(
         self,
@@ -395,7 +395,7 @@ class InputCheck:
             self._unheard.message(ShownValue(message.sequence, str(value), message.log_ns))
 
     def received(self, event: _Input, value: Any, seq: int) -> None:
-        """Read an input of the journal, from the entry number `seq`."""
+        """Add an input of the journal, which is entry number `seq`."""
         if self._is_on:
             number = event.sequence & MAX_SEQUENCE
             publisher = event.source if isinstance(event, OdomReceived) else event.publisher
@@ -404,7 +404,10 @@ class InputCheck:
                 self._unheard.heard(number)
 
     def snapshot(self, has_proof: bool, stall_ns: int) -> None:
-        """Begin the comparison if `has_proof`; `stall_ns` is the longest stall so far."""
+        """Begin the comparison if the snapshot has a `Proof` (command count and CRC).
+
+        `stall_ns` is the longest stall of the control loop so far.
+        """
         self._is_on = self._is_on or has_proof
         self._pairs.tolerance = 0.0 if self._report.bitwise else TOLERANCE
         self._repeats.snapshot()
@@ -596,7 +599,7 @@ class InputChecks:
             check.received(event, _value(event), seq)
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Begin the comparison at a snapshot with a `Proof`."""
+        """Begin the comparison if the snapshot has a `Proof` (command count and CRC)."""
         for each in self._checks.values():
             each.snapshot(snapshot.proof is not None, self._stalls.longest_ns)
 

@@ -128,7 +128,7 @@ class Invariants:
             self._tick_t_ns = event.t_ns
 
     def end(self, waiting: tuple[int, ...]) -> None:
-        """Check that every request has its reply, except those in `waiting`."""
+        """Check that each request got a reply; those in `waiting` (ids) may still be open."""
         for request_id in sorted(self._open_requests.difference(waiting)):
             self.violate(f"request {request_id} has no reply")
 
@@ -202,8 +202,7 @@ class Invariants:
 def unbalanced(ledger: Mapping[str, Mapping[str, int]], *, finished: bool) -> Iterator[str]:
     """Yield a sentence for each topic of a loss ledger whose counts do not add up.
 
-    If the recording is `finished`, received must equal written + dropped; otherwise it may be
-    larger.
+    If `finished`, received must equal written + dropped; otherwise, it may be larger.
     """
     for topic, counts in ledger.items():
         received, written, dropped = (counts.get(n, 0) for n in ("received", "written", "dropped"))

@@ -85,8 +85,7 @@ class Verdict(StrEnum):
 class Report:
     """The result of checking one recording.
 
-    The first journal entry was made at `begin_ns` (steady) and recorded at `begin_log_ns` (since
-    the epoch).
+    The first journal entry was made at `begin_ns` (steady), recorded at `begin_log_ns` (epoch).
     """
 
     path: Path
@@ -138,12 +137,12 @@ class Report:
 
     @property
     def other_version(self) -> str:
-        """The recording's version; "with other fields" follows if the journal's fields differ."""
+        """The recorded version, plus "with other fields" if the journal does not fit it."""
         return f"{self.version} with other fields" if self.has_other_format else self.version
 
     @property
     def verdict(self) -> Verdict:
-        """The most severe result that applies."""
+        """The result of the check; if several results apply, the most severe."""
         if self.divergence is not None and self.same_version:
             return Verdict.DIVERGED
         if self.violation_count:

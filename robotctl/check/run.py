@@ -132,7 +132,7 @@ class Comparisons:
         return {topic: read for each in self._all for topic, read in each.readers().items()}
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Begin or continue at a snapshot; `t_ns` is steady, `log_ns` since the epoch."""
+        """Begin or continue comparing at a snapshot; `t_ns` is steady, `log_ns` since the epoch."""
         self._invariants.snapshot(snapshot)
         self._ticks.begin(snapshot.params.rate_hz)
         for each in self._all:

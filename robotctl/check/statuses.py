@@ -58,7 +58,7 @@ class ShownModes:
         self._t_ns = self._offset_ns = self._begin_ns = 0
 
     def snapshot(self, mode: Mode, t_ns: int, wall_ns: int) -> None:
-        """Begin or continue at a snapshot; `t_ns` is steady, `wall_ns` since the epoch."""
+        """Read mode and time of a snapshot; `t_ns` is steady, `wall_ns` since the epoch."""
         self._t_ns, self._offset_ns = t_ns, wall_ns - t_ns
         if not self._spans:
             self._spans.append(_ModeSpan(mode.value, t_ns))
@@ -66,7 +66,7 @@ class ShownModes:
         self._judge(t_ns - EXCUSES_NS)
 
     def status(self, mode: int, publish_ns: int) -> None:
-        """Keep a status for the comparison; `publish_ns` is nanoseconds since the epoch."""
+        """Add the mode in a status, to be compared; `publish_ns` is its time since the epoch."""
         steady_ns = publish_ns - self._offset_ns
         if self._spans and steady_ns >= self._begin_ns:
             self._statuses.append((mode, steady_ns, self._t_ns))
@@ -88,7 +88,7 @@ class ShownModes:
         self._statuses.clear()
 
     def end(self, *, is_closed: bool) -> None:
-        """Compare the kept statuses; if not `is_closed`, only those before the last event."""
+        """Compare the remaining statuses, up to the last event unless the recording `is_closed`."""
         self._judge(inf if is_closed else self._t_ns)
 
     def _judge(self, until_ns: float) -> None:
@@ -110,7 +110,7 @@ class ShownModes:
 
 
 class StatusCheck:
-    """Compares statuses with the journal, from the first snapshot with a `Proof` on."""
+    """Compares robot statuses with the journal once a snapshot has a `Proof` (count and CRC)."""
 
     def __init__(self, report: Report, topics: RobotTopics, clock: ClockChanges) -> None:
         self._name, self._is_told = topics.told("topic.robot_status")
@@ -190,7 +190,7 @@ class StatusCheck:
         return True
 
     def snapshot(self, snapshot: Snapshot, t_ns: int, log_ns: int) -> None:
-        """Begin or continue the comparison; `t_ns` is steady, `log_ns` since the epoch."""
+        """Begin or continue to compare if the snapshot has a `Proof` (command count and CRC)."""
         if snapshot.proof is None:
             return
         self._repeats.snapshot()
@@ -199,7 +199,7 @@ class StatusCheck:
         self._modes.snapshot(snapshot.state.mode, t_ns, log_ns)
 
     def step(self, seq: int, event: Event, effects: tuple[Effect, ...], moments: Moments) -> None:
-        """Add the time of an event, and its change of the mode."""
+        """Add the time of an event, and the change of mode among its effects."""
         self._modes.step(event.t_ns, moments[1])
         for effect in effects:
             if isinstance(effect, ModeChanged):

@@ -77,7 +77,7 @@ class MissingTicks(NamedTuple):
 
 
 class TickSchedule:
-    """Finds missing ticks by the lateness of the recorded ticks, from a snapshot on."""
+    """Finds ticks that are missing in the journal: all recorded ticks after them seem late."""
 
     def __init__(self) -> None:
         self.missing: list[MissingTicks] = []
@@ -105,7 +105,7 @@ class TickSchedule:
             self._least = least._replace(late_ns=late_ns)
 
     def stop(self) -> None:
-        """Add the first missing ticks since the last call, if any, to `missing`; start over.
+        """Add the first ticks missing since the last call, if any, to `missing`, and start over.
 
         Call this before a gap in the journal, and at its end.
         """

@@ -33,7 +33,7 @@ class InputTopic(NamedTuple):
 
 
 def number_in(values: Mapping[str, str], key: str, default: float) -> float:
-    """Return the number under `key`, or `default` if there is no finite number."""
+    """Return `values[key]` as a float; return `default` if it is missing or no finite number."""
     with suppress(KeyError, ValueError):
         value = float(values[key])
         return value if isfinite(value) else default
@@ -63,15 +63,15 @@ class RobotTopics:
         return name if name.startswith("/") else f"{self.namespace}/{name}"
 
     def told(self, key: str) -> tuple[str, bool]:
-        """Return the full name of a topic or service, and whether the metadata has it under `key`.
+        """Return the full name of a topic or service in the metadata under `key`, and True.
 
-        If not, the name is the last part of `key`, in the robot's namespace.
+        If it is not there, return the last part of `key` in the robot's namespace, and False.
         """
         told = self.values.get(key)
         return told or f"{self.namespace}/{key.rpartition('.')[2]}", told is not None
 
     def recorded(self, parameter: str, default: str, *types: str) -> InputTopic:
-        """Return the topic of `parameter`; `name` is None if no topic of `types` is recorded."""
+        """Return the topic that a parameter names; its `name` is None if it is not recorded."""
         name = self.named_by(parameter, default)
         if self.types.get(name) in types:
             return InputTopic(name, self.types[name])
@@ -110,9 +110,9 @@ MAX_REPEATED: Final = 1_000
 
 
 class RepeatedLatched:
-    """Counts the log times at which messages of a latched topic repeat earlier ones.
+    """Counts the moments at which a recording repeats earlier messages of a latched topic.
 
-    The allowed number is that of the snapshots or of the files, the larger one.
+    A new file repeats them: one moment is allowed per file or per snapshot, whichever are more.
     """
 
     def __init__(self, info: RecordingInfo) -> None:
@@ -143,7 +143,7 @@ class RepeatedLatched:
         return is_again
 
     def snapshot(self) -> None:
-        """Count a snapshot."""
+        """Count a snapshot of the journal; each one may explain one moment of repeats."""
         self._snapshots += 1
 
     @property
@@ -162,14 +162,14 @@ Sent = TypeVar("Sent")
 
 @dataclass(slots=True)
 class Slot(Generic[Entry, Sent]):
-    """The journal entries and the messages with the same number; publishers may share numbers."""
+    """The waiting journal entries and messages with one sequence number, from any publisher."""
 
     entries: list[Entry] = field(default_factory=list)
     sent: list[Sent] = field(default_factory=list)
 
 
 class Waiting(Generic[Entry, Sent]):
-    """Entries and messages that are not compared yet: a Slot per number, the oldest first."""
+    """Journal entries and messages that wait to be compared, in one `Slot` per sequence number."""
 
     def __init__(self, judge: Callable[[int, Slot[Entry, Sent]], None]) -> None:
         """`judge` gets the oldest number and its slot when there are more than MAX_WAITING."""
@@ -177,7 +177,7 @@ class Waiting(Generic[Entry, Sent]):
         self._slots: dict[int, Slot[Entry, Sent]] = {}
 
     def slot(self, number: int) -> Slot[Entry, Sent]:
-        """Return the slot of `number`, now the newest; judge the oldest if there are too many."""
+        """Return the slot of `number`; if there are too many, pass the least recent to `judge`."""
         slot = self._slots.pop(number, None) or Slot()
         self._slots[number] = slot
         if len(self._slots) > MAX_WAITING:
@@ -185,7 +185,7 @@ class Waiting(Generic[Entry, Sent]):
         return slot
 
     def drop(self, number: int) -> None:
-        """Remove the slot of `number` without a judgement."""
+        """Remove the slot of sequence number `number` without calling `judge`."""
         self._slots.pop(number, None)
 
     def clear(self) -> None:

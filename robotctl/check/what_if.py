@@ -84,7 +84,7 @@ def changed(config: Config, settings: Settings) -> Config:
 
 
 def simulated(config: Config, info: RecordingInfo) -> tuple[Config, list[str]]:
-    """Return `config` with the recorded simulator parameters, and the keys that are rejected."""
+    """Return `config` with the simulator parameters of a recording, and the keys not accepted."""
     unknown = []
     for name, value in info.metadata.get(INFO_RECORD, {}).items():
         key = name.removeprefix(PARAMETER_PREFIX)

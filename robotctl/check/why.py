@@ -166,7 +166,7 @@ class Why:
 
 
 def explain(incident: Incident) -> Why:
-    """Return the explanation of an incident."""
+    """Explain an incident: what happened, the input, the rule, the request and the effects."""
     return Why(
         what=_what(incident),
         remedies=_remedies(incident),

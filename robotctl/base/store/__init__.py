@@ -89,23 +89,23 @@ class RemoteFile(PosixPath):
         return os.stat_result((stat.S_IFREG, 0, 0, 1, 0, 0, size, 0, 0, 0))
 
     def is_file(self, **_: Any) -> bool:
-        """Return True."""
+        """Return True: the URL names a file."""
         return True
 
     def is_dir(self, **_: Any) -> bool:
-        """Return False."""
+        """Return False: the URL names a file."""
         return False
 
     def is_symlink(self) -> bool:
-        """Return False."""
+        """Return False: a store has no links."""
         return False
 
     def absolute(self) -> Self:
-        """Return this path."""
+        """Return this path: a URL is always absolute."""
         return self
 
     def resolve(self, strict: bool = False) -> Self:
-        """Return this path."""
+        """Return this path: a URL has no links to resolve."""
         return self
 
     def _store(self) -> ObjectStore:

@@ -168,7 +168,7 @@ class RemoteStore:
         return self._run(asked, key)
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return bytes `begin` to `end` (excluded); raise ObjectChanged for an outdated `found`."""
+        """Return bytes `begin` to `end` - 1 of `found`; raise ObjectChanged if it was changed."""
         return requests().run(self._range(found, begin, end))
 
     async def _range(self, found: StoredObject, begin: int, end: int) -> bytes:

@@ -69,7 +69,7 @@ class FolderStore:
             return _described(key, os.fstat(descriptor))
 
     def get_range(self, found: StoredObject, begin: int, end: int) -> bytes:
-        """Return the bytes `begin` to `end` - 1; raise ObjectChanged for an outdated `found`."""
+        """Return bytes `begin` to `end` - 1 of `found`; raise ObjectChanged if it was changed."""
         key = found.key
         with self._told(key), self._opened(key) as descriptor:
             if _described(key, os.fstat(descriptor)) != found:

@@ -60,7 +60,7 @@ def short_answer(where: str, got: int, wanted: int) -> BrokenAnswer:
 
 @dataclass(frozen=True, slots=True)
 class StoredObject:
-    """The description of an object at one moment."""
+    """Key, size, etag, time and hash of an object, as its store described it at one moment."""
 
     key: str
     """The path of the object below the store, with slashes."""
@@ -78,7 +78,7 @@ class StoredObject:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """Metadata to store with an object."""
+    """Metadata to store with an object: the hash of its content, and its time of writing [ns]."""
 
     sha256: str = ""
     modified_ns: int = 0
