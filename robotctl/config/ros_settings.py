@@ -136,9 +136,9 @@ def apply_arguments(
     namespace: str,
     warn: Callable[[str], object] = log_warning,
 ) -> RosSettings:
-    """Return the configuration changed by the arguments, for nodes in `namespace`.
+    """Return the configuration changed by `--ros-args`, for nodes in `namespace`.
 
-    A retired key is ignored after `warn` was called with a sentence.
+    `warn` is called with a sentence for each retired key, which is ignored.
 
     Raises:
         ConfigError: A key, a value or a file is wrong, or is meant for another node.

@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """Carries out each effect in the loop's thread, without blocking."""
+    """Carries out the kernel's effects in the loop's thread, without blocking."""
 
     publish_twist: Callable[[Twist], None]
     show_mode: Callable[[Mode], None]

@@ -36,7 +36,7 @@ class TrueErrors(NamedTuple):
 
 
 class GroundTruth:
-    """Computes a drive's errors from the true pose, without odometry's drift before the drive."""
+    """Computes a drive's errors by the true pose; odometry's earlier drift does not count."""
 
     def __init__(self) -> None:
         self.truth: Callable[[], Pose | None] = lambda: None

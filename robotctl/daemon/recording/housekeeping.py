@@ -25,7 +25,7 @@ MAX_PROBLEMS: Final = 10
 
 
 class Tidier:
-    """Tidies the folder of recordings in processes of the lowest priority.
+    """Applies retention to the recordings, and repairs them, in processes of the lowest priority.
 
     Use it in the loop's thread. Files that a crash left are repaired only once, after `begun`.
     """
