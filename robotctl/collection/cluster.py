@@ -69,10 +69,10 @@ class Cluster:
         self._patience_s = patience_s
 
     def judge(self, judging: Judging, recordings: Sequence[Path], on_progress: Done) -> Answers:
-        """Yield an answer for each recording, in any order.
+        """Judge recordings on the workers; yield each path with its result, in any order.
 
         Raises:
-            Refused: The scheduler or all workers are absent for too long, or a worker is unfit.
+            Refused: No scheduler or no worker for too long, or a worker lacks files or software.
         """
         left = dict.fromkeys(recordings)
         connect_s = self._connect_s

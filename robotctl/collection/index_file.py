@@ -76,7 +76,7 @@ _CLOSED: Final[Mapping[str, str]] = {
 def write_parquet(
     target: Path, query: str, sources: Sequence[Path | str], options: str = ""
 ) -> None:
-    """Replace `target` by the rows of `query`, which reads `sources`, or change nothing.
+    """Write the rows of the SQL `query` over the files `sources` to `target`, or change nothing.
 
     Raises:
         OSError: The file cannot be written, or a source cannot be read.

@@ -130,7 +130,7 @@ Change = dict[str, Any]
 
 
 def totals_of(changes: Iterable[Change]) -> dict[str, Any]:
-    """Return sums and maxima over all drives, and the times in each mode, as a JSON object."""
+    """Return sums and maxima over all drives and modes, as recorded and as re-run, for JSON."""
     every = list(changes)
     drives = [drive for change in every for drive in change["drives"]]
     modes = dict.fromkeys(mode for change in every for mode in change["modes_s"])
@@ -249,7 +249,7 @@ class Judgement:
 
     @property
     def differs(self) -> bool:
-        """Whether other parameters change modes or answers, or make the kernel fail."""
+        """Whether the re-run with other parameters changes modes or replies, or fails."""
         other = self.other or {}
         return any(other.get(key) for key in ("mode_differs_s", "answer_count", "failure"))
 
@@ -259,7 +259,7 @@ class Judgement:
 
 
 def judge(path: Path, settings: Mapping[str, str], content: Content | None = None) -> Judgement:
-    """Judge a recording with its own parameters and, if there are any, with `settings`.
+    """Judge a re-run of a recording with its own parameters, and one with `settings` if any.
 
     Raises:
         OSError: A file cannot be read.

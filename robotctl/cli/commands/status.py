@@ -114,7 +114,7 @@ def _cell(value: Any, form: str) -> str:
 
 
 def polled_until(working: Background[Any], robot: str) -> Iterator[Status]:
-    """Poll and yield the daemon's status until `working` is done.
+    """Poll and yield the daemon's status until the thread `working` is done.
 
     Nothing is yielded in the first POLL_S, and for a poll that fails.
     """

@@ -141,7 +141,7 @@ class HandsWithoutReleases:
         self._is_forgotten = False
 
     def take(self, keys: Sequence[Key], now_s: float) -> Wish | None:
-        """Return the wish of the last steering key in `keys`, None if that key does not repeat."""
+        """Return the motion of the last steering key in `keys`, None if it does not repeat."""
         names = [key.name for key in keys if key.name in STEERING]
         is_pasted = len(keys) > MAX_AT_ONCE
         if not (names or is_pasted):

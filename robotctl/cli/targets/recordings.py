@@ -148,8 +148,8 @@ def select_recordings(
 ) -> tuple[list[Path], list[Path]]:
     """Return the recordings of `files` (paths, names or `last`), and the paths to skip.
 
-    A folder of recordings stands for all recordings in it. If no path is a recording, no path is
-    skipped.
+    A folder of recordings stands for all recordings in it. If no path is a recording, all are
+    returned, so that reading them reports why.
 
     Raises:
         Refused: `last` was given and there is no recording.

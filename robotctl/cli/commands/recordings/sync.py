@@ -235,7 +235,7 @@ def _error(run: Synced, pruned: Pruned) -> RobotctlError | None:
 
 
 class SyncPace:
-    """Waits before each piece that `sync` sends; the end of the `with` block ends all waits."""
+    """Limits the rate of `sync`, and pauses it while a robot moves, until the `with` block ends."""
 
     def __init__(self, limit_mbps: float | None, robot: str | None) -> None:
         """Allow `limit_mbps` [Mbit/s], None for no limit, and nothing while `robot` moves."""
