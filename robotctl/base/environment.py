@@ -56,7 +56,7 @@ def without_foreign_ros(environment: Mapping[str, str], prefix: Path) -> tuple[d
     """Return a copy of `environment` without any ROS outside `prefix`, and a note on the changes.
 
     Folders of our own distribution stay unless they have an rclpy or librcl. RMW_IMPLEMENTATION is
-    changed to RMW.
+    set to rmw_fastrtps_cpp, the only middleware of robotctl, if it names another.
     """
     distro = environment.get("ROS_DISTRO", "")
     cleaned = dict(environment)

@@ -42,7 +42,7 @@ _READERS = {
 
 
 def without_retired_fields(entry: JournalEntry) -> JournalEntry:
-    """Return the entry without retired fields that have their default value."""
+    """Return the entry without those retired fields whose value is the former default."""
     names = {
         path.partition(".")[2]: default
         for path, default in retired.JOURNAL_FIELDS.items()
@@ -66,7 +66,7 @@ def without_retired_fields(entry: JournalEntry) -> JournalEntry:
 
 
 class Vocabulary:
-    """Finds unknown fields in entries."""
+    """Finds fields in journal entries that this version does not know."""
 
     def __init__(self) -> None:
         self._known: set[tuple[str, bytes]] = set()

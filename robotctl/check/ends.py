@@ -268,7 +268,7 @@ class RecordingEnds:
     def check(self, events_before_snapshot: int) -> None:
         """Check the writer, the begin and the end of the journal, and the loss ledger.
 
-        Gaps that are reported after this call do not excuse differences.
+        Only gaps reported before this call may explain a difference.
         """
         ledger = read_ledger(self._recording.metadata_of_file(-1))
         self.origin.check(self._report)

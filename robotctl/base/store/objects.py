@@ -224,7 +224,7 @@ def hash_in(key: str) -> str:
 
 
 def has_hash_folders(path: Path) -> bool:
-    """Return whether a folder named by a SHA-256 is in `path` or in one of its first folders."""
+    """Return whether `path` or one of its first three folders has a folder named by a SHA-256."""
     return _has_hash_folder(path) or any(map(_has_hash_folder, _first_folders(path)))
 
 
