@@ -76,7 +76,7 @@ class ShownValue(NamedTuple):
 
 
 class UnheardChange:
-    """Finds messages of one publisher that should be inputs in the journal, but are not."""
+    """Finds changes in one publisher's messages that the journal lacks as inputs."""
 
     def __init__(self, repeat_ns: int) -> None:
         """`repeat_ns` is the time [ns] after which an unchanged value is an input again."""

@@ -552,7 +552,7 @@ def _parameters(content: Any, path: Path) -> Mapping[Any, Any]:
 
 
 def flatten(settings: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield each setting of a nested mapping as (dotted key, value); rates by topic are a value."""
+    """Yield (dotted key, value) of nested settings. A mapping of rates by topic is one value."""
     for name, value in settings.items():
         key = f"{prefix}{name}"
         if isinstance(value, dict) and key not in RATE_KEYS:

@@ -78,7 +78,7 @@ ACKNOWLEDGED_S = 1.0
 async def last_zero_arrived(
     velocity: VelocityPublisher, modes: ModeService, received: Callable[[], Mapping[str, int]]
 ) -> None:
-    """Wait until the recorder has the last command and status, and the robot has that command.
+    """Wait until the last command has reached the robot, and the recording has it and the status.
 
     `received()` returns the recorder's number of messages by topic. Each wait has a limit.
     """

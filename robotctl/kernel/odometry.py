@@ -96,7 +96,7 @@ def source_found(sources: OdometrySources, event: OdometrySourceFound) -> Odomet
 
 
 def may_follow(health: Health, event: OdomReceived, params: OdometryParams) -> bool:
-    """Return whether a robot that is not MOVING may switch to the publisher of this sample."""
+    """Return whether the odometry of this publisher may be used from now on, if not MOVING."""
     age_s = abs(event.t_ns - health.odometry_t_ns) / NS_PER_S
     return health.odometry is None or age_s > params.timeout_s
 

@@ -72,7 +72,7 @@ def is_signed(data: bytes, signature: bytes, public: str) -> bool:
 
 
 def signed_journal(opening: Opening, digests: Sequence[str]) -> bytes:
-    """Return the bytes that a new file's key signs: its `opening` and the journal's `digests`."""
+    """Return what a file's key signs: its certificate, and the digests of the decisions before."""
     return f"robotctl seal: journal\0{opening.certificate} {' '.join(digests)}".encode()
 
 

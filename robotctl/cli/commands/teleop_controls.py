@@ -301,8 +301,8 @@ class Speeds:
 class Holding:
     """Requests the wanted motion; `message` says why the last motion ended or was refused.
 
-    If `want` is not called for MAX_SILENCE_S, the motion ends. The next call begins a new motion if
-    `silence_lets_go` is True, otherwise it returns False.
+    If `want` is not called for MAX_SILENCE_S, the motion ends. Then the next call returns False, or
+    begins a new motion if `silence_lets_go` is True.
     """
 
     def __init__(self, client: Client, params: Mapping[str, Any]) -> None:

@@ -186,9 +186,9 @@ class MessageListener:
 
 
 def ros_view(robot: str, domain_id: int | None) -> RosView:
-    """Return the view of the ROS domain `domain_id`.
+    """Return the view of the ROS domain `domain_id`, or of the daemon's if `domain_id` is None.
 
-    None is the daemon's domain, or ROS_DOMAIN_ID or 0 without a daemon.
+    Without a daemon, None means the domain of ROS_DOMAIN_ID, or else 0.
 
     Raises:
         UsageError: The number is not a ROS domain.

@@ -240,7 +240,7 @@ def _format_in(text: str) -> str:
 
 
 class MessageDecompressor:
-    """Decompresses the messages at one place of a file, within the file's limits."""
+    """Decompresses single messages, or those of one chunk, within the limits of a file."""
 
     def __init__(self, offset: int, limits: ReadLimits, tally: Tally) -> None:
         """Set up a decompressor for the place at `offset`. `tally` sums the file's costs."""
