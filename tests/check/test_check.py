@@ -1,7 +1,4 @@
-"""A check finds different decisions and broken invariants, and names what it could not read.
-
-In a folder with files of several recordings each is checked on its own, and named.
-"""
+"""A check finds different decisions and broken invariants, and names what it could not read."""
 
 from __future__ import annotations
 

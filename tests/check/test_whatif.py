@@ -1,7 +1,4 @@
-"""Other parameters on the same events, and in a closed loop with a simulated robot.
-
-A velocity has no path: its drive has no errors, and they are not 0.
-"""
+"""Other parameters on the same events, and in a closed loop with a simulated robot."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from signal import SIGCONT, SIGINT, SIGSTOP
 
 import pytest
 
+from robotctl.cli.targets.driving import HeldLease
 from tests.support.lines import line_of
 from tests.support.waiting import DEADLINE_S, until
 from tests.support.world import ROBOTCTL, NewPeer, World, new_world
@@ -61,6 +62,19 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
     )
     world.ok("set-mode", "moving")
     world.ok("set-mode", "idle")
+
+
+def test_ctrl_c_while_the_lease_is_taken_releases_it(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(self: HeldLease) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setenv("XDG_RUNTIME_DIR", world.environment["XDG_RUNTIME_DIR"])
+    monkeypatch.setattr(HeldLease, "_keep", property(interrupt))
+    with pytest.raises(KeyboardInterrupt), HeldLease("robot", "test"):
+        pass
+    assert world.answer("lease", "status")["holder"] is None
 
 
 def test_a_frozen_holder_loses_the_lease_and_the_robot_ramps_down(world: World) -> None:

@@ -1,7 +1,6 @@
 """The numbers and topics of the kernel are those of docs/ros.md: default, limits and unit.
 
 A parameter changes by an event: while the robot stands, within its limits, with one reply.
-Gauges that count to 1 and gauges that count to 100.
 """
 
 from __future__ import annotations

@@ -145,10 +145,7 @@ def populate(node: Any, topic: str, on_message: Callable[[Any], object]) -> Any:
 
 
 def loop_descriptors() -> int:
-    """Count the open descriptors of the kinds that an executor or a ticker waits on.
-
-    Others are not counted: the middleware's threads open and close shared memory at any moment.
-    """
+    """Count the open descriptors of the kinds that an executor or a ticker waits on."""
     count = 0
     for descriptor in Path("/proc/self/fd").iterdir():
         with suppress(FileNotFoundError):  # it was closed after it was listed

@@ -2,7 +2,6 @@
 
 SCHED_FIFO for the loop's thread, where it is permitted.
 A callback that holds the loop is named, with its duration.
-Callback groups keep their meaning.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The page of a recording needs no network, shows every figure, and takes no markup from it.
-
-The picture shows every path to scale.
-"""
+"""The page of a recording needs no network, shows every figure, and takes no markup from it."""
 
 from __future__ import annotations
 

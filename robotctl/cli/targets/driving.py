@@ -210,10 +210,10 @@ class HeldLease:
                     if self.is_over:
                         self.result()
                     time.sleep(POLL_S)
+            Background(self._keep).start()
         except BaseException:
             self._release()
             raise
-        Background(self._keep).start()
         return self
 
     def __exit__(
