@@ -227,7 +227,6 @@ def _check_definitions(
 
 
 PROGRESS_S: Final = 0.1
-"""Interval of progress messages."""
 
 GUARD_S: Final = 0.5
 """Interval of the safety checks for daemons."""
@@ -292,8 +291,7 @@ class Replay:
             routes = playable(routes, ros, job, self._report)
             guard = ReplayGuard(ros, ros.domain_id, job.topics, original_names=job.original_names)
             # A daemon stops its robot for a second publisher of its commands.
-            commands = any(is_command(route) and guard.names(route) for route in routes)
-            ros.settle(QUIET_S if commands else 0.0)
+            ros.settle(QUIET_S if any(is_command(r) and guard.names(r) for r in routes) else 0.0)
             if self._stopped.is_set():
                 routes = []  # discovery is incomplete, so do not create publishers
             self._report.note(guard.choose_prefix())
@@ -309,9 +307,8 @@ class Replay:
         message = summary(self._report, player, routes, interrupted=self._stopped.is_set())
         where = {"file": str(job.file), "domain_id": ros.domain_id, "prefix": guard.prefix}
         self._emit({"summary": where | message})
-        missing = self._report.missing
-        if missing and not self._stopped.is_set():
-            raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(missing)}")
+        if self._report.missing and not self._stopped.is_set():
+            raise UnreadableFile(f"{job.file} is incomplete: {'; '.join(self._report.missing)}")
 
     def _wait(self) -> None:
         """Wait for `wait_for` subscribers, and until publishers and subscribers have matched."""

@@ -252,6 +252,8 @@ KNOWN_S: Final = 0.5
 ACKNOWLEDGE_S: Final = 7.0
 """How long to wait at the end for acknowledgements. A lost message takes 3 s or more."""
 
+REQUEST_S: Final = 0.2  # at the end, for the arrival of requests, which rclpy does not report
+
 # Few messages get lost while they fit into the shared memory of Fast DDS (512 kB).
 IN_FLIGHT: Final = 250
 """The number of unacknowledged messages at which a replay at full speed waits."""
@@ -403,6 +405,7 @@ class ReplaySession:
 
     def wait_until_received(self) -> None:
         """Wait until reliable subscriptions acknowledge all messages, at most ACKNOWLEDGE_S."""
+        self.stopped.wait(REQUEST_S if self._clients else 0.0)
         until = time.monotonic() + ACKNOWLEDGE_S
         for publisher in self._publishers:
             if publisher.qos_profile.reliability is ReliabilityPolicy.RELIABLE:
