@@ -9,10 +9,12 @@ import json
 import re
 from signal import SIGINT, SIGKILL, Signals
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
-from robotctl.base.errors import Refused
+from robotctl.base.errors import Interrupted, Refused
+from robotctl.cli.commands import commission
 from robotctl.daemon import driver
 from robotctl.kernel.patterns import PatternKind
 from tests.support.waiting import DEADLINE_S, until
@@ -143,6 +145,14 @@ def test_nobody_is_asked_without_a_terminal_and_nothing_moves(simulated: World) 
     simulated.here("set-mode", "error")
     simulated.here("commission", "--yes").failed(4, "reset")
     simulated.ok("reset")
+
+
+def test_ctrl_c_while_a_motion_is_requested_stops_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    requested = Mock(start=Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr(commission, "Background", lambda request: requested)
+    monkeypatch.setattr(commission, "stop_drive", lambda robot, driving: Interrupted())
+    with pytest.raises(Interrupted):
+        commission._drive("robot", {})
 
 
 @pytest.mark.parametrize("number", [SIGINT, SIGKILL])

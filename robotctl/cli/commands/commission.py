@@ -116,8 +116,8 @@ def _drive(robot: str, params: dict[str, Any], at_most_s: float = inf) -> None:
     driving: Background[DriveAnswer] = Background(
         partial(call, robot, DRIVE_VELOCITY, params, deadline_s=None)
     )
-    driving.start()
     try:
+        driving.start()  # inside the `try`: an interrupt may come after the request was sent
         wait_while_stdout_open(driving, at_most_s)
     except KeyboardInterrupt:
         error: RobotctlError = stop_drive(robot, driving)
