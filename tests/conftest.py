@@ -51,7 +51,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mix the folders: the files of one wait for daemons while others compute, and run last."""
+    """Mix the folders, so that some files compute while others wait; the longest are not last."""
     folders = Counter(path.parent for path in {item.path for item in items})
     seen, place = Counter[Path](), dict[Path, float]()
     for item in items:

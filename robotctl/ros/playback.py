@@ -307,7 +307,7 @@ class ReplaySession:
         """Return the names of the robots that have a daemon, of any user, in this domain."""
         return sorted(
             (
-                topic.rsplit("/", 2)[0]
+                topic.rsplit("/", 2)[0]  # of /r2/robotctl/journal
                 if info.node_name == endpoints.UNKNOWN_NODE
                 else info.node_namespace
             ).strip("/")

@@ -1,7 +1,6 @@
 """Recordings of other versions and platforms are compared by the rules of docs/replay.md.
 
-A type with other fields is named. A check decides across changes of parameters; no snapshot changes
-one.
+A type with other fields is named. A check decides across changes of parameters.
 """
 
 from __future__ import annotations

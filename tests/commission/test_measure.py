@@ -35,17 +35,10 @@ from robotctl.kernel.params import KernelParams
 from robotctl.kernel.types import ZERO, PublishTwist, Twist
 from robotctl.sim import Robot, SimParams
 from robotctl.testing.kernels import ready
+from tests.support.heard_drives import PERFECT
 
 NS_PER_MS = 1_000_000
-EXACT = SimParams(
-    lag_s=0.1,
-    actuation_linear_factor=1.0,
-    actuation_angular_factor=1.0,
-    actuation_noise=0.0,
-    odometry_linear_factor=1.0,
-    odometry_angular_factor=1.0,
-    odometry_noise=0.0,
-)
+EXACT = replace(PERFECT, lag_s=0.1)
 SPEED_MPS = 0.1
 TURN_RPS = 0.3
 

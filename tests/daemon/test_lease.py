@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from signal import SIGCONT, SIGINT, SIGSTOP
+from unittest.mock import PropertyMock
 
 import pytest
 
@@ -67,11 +68,8 @@ def test_the_holder_alone_moves_the_robot_and_its_death_ramps_it_down(
 def test_ctrl_c_while_the_lease_is_taken_releases_it(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupt(self: HeldLease) -> None:
-        raise KeyboardInterrupt
-
     monkeypatch.setenv("XDG_RUNTIME_DIR", world.environment["XDG_RUNTIME_DIR"])
-    monkeypatch.setattr(HeldLease, "_keep", property(interrupt))
+    monkeypatch.setattr(HeldLease, "_keep", PropertyMock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt), HeldLease("robot", "test"):
         pass
     assert world.answer("lease", "status")["holder"] is None

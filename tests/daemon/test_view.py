@@ -217,8 +217,7 @@ async def driven_through(client: ViewClient, world: World, command: str) -> None
 async def driven_until_it_moves(client: ViewClient, world: World) -> None:
     """Publish a velocity at 40 Hz until the robot moves; let go each second, for longer each time.
 
-    On a busy machine this process may be silent for too long, and the view may read late what was
-    published before the pause.
+    On a busy machine this process may be silent for too long, or the view may read too late.
     """
     waiting = asyncio.create_task(
         asyncio.to_thread(until, lambda: world.status()["mode"] == "MOVING")

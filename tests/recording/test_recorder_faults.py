@@ -293,16 +293,21 @@ def test_the_thread_that_writes_survives_what_nobody_thought_of(
 INDEX_ENTRY_BYTES = 16
 
 
-@pytest.mark.parametrize("size", [52, 3 * KIB, 40 * KIB])
-def test_a_slow_disk_fills_the_queue_and_then_counts_drops(tmp_path: Path, size: int) -> None:
+def gated(folder: Path, memory_bytes: int) -> tuple[threading.Event, Tape]:
+    """Return an event, which is set, and a recorder whose disk writes while it is set."""
     gate = threading.Event()
     gate.set()
-    recorder = Tape(
-        tmp_path / "run",
+    return gate, Tape(
+        folder,
         chunk_bytes=16 * KIB,
-        memory_bytes=256 * KIB,
+        memory_bytes=memory_bytes,
         open_file=lambda path: GatedFile(path, gate.wait),
     )
+
+
+@pytest.mark.parametrize("size", [52, 3 * KIB, 40 * KIB])
+def test_a_slow_disk_fills_the_queue_and_then_counts_drops(tmp_path: Path, size: int) -> None:
+    gate, recorder = gated(tmp_path / "run", 256 * KIB)
     gate.clear()
     number = 0
     while recorder.stats().dropped < 100:
@@ -506,14 +511,7 @@ def test_a_listener_that_raises_does_not_stop_the_counting(tmp_path: Path) -> No
 
 
 def test_the_memory_of_a_burst_is_given_back(tmp_path: Path) -> None:
-    gate = threading.Event()
-    gate.set()
-    recorder = Tape(
-        tmp_path / "run",
-        chunk_bytes=16 * KIB,
-        memory_bytes=1024 * KIB,
-        open_file=lambda path: GatedFile(path, gate.wait),
-    )
+    gate, recorder = gated(tmp_path / "run", 1024 * KIB)
     for burst in range(3):
         gate.clear()
         recorder.commands(range(burst * 6000 + 1, burst * 6000 + 6001))

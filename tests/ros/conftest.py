@@ -176,8 +176,7 @@ def peer(domain_id: int) -> Iterator[Peer]:
 def feed(peer: Peer) -> Feed:
     """Lets the peer publish to a subscription after both sides have matched.
 
-    A message that is published earlier arrives 3 s late at best, with the next heartbeat of the
-    middleware.
+    An earlier message arrives 3 s late at best, with the next heartbeat of the middleware.
     """
 
     async def publish(subscription: Any, values: list[int]) -> None:

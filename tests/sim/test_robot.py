@@ -24,16 +24,8 @@ from robotctl.kernel.types import (
 from robotctl.sim import Robot, SimFault, SimParams
 from robotctl.testing.kernels import TICK_NS, Bench, moving
 from tests.support.cases import for_each
+from tests.support.heard_drives import PERFECT
 
-PERFECT = SimParams(
-    lag_s=0.0,
-    actuation_linear_factor=1.0,
-    actuation_angular_factor=1.0,
-    actuation_noise=0.0,
-    odometry_linear_factor=1.0,
-    odometry_angular_factor=1.0,
-    odometry_noise=0.0,
-)
 STEP_S = 0.02
 
 

@@ -23,12 +23,24 @@ from robotctl.messages.inputs import MESSAGE_TYPES
 from robotctl.messages.installed import installed_type
 from robotctl.recording.format.journal import decode
 from robotctl.recording.format.names import INFO_RECORD, LEDGER_RECORD
+from robotctl.sim import SimParams
 from robotctl.testing.drives import BEGIN_NS, QOS, drive_requested, journaled
 from robotctl.testing.hearing import BATTERY, ODOMETRY, SCAN, WANTED, HearingKernel
 from robotctl.testing.hearing import TOPICS as SAFETY_TOPICS
 from tests.support.edited_recordings import Contents, Stored, recorded
 
 SET_MODE, ESTOP = "/set_mode/_service_event", "/estop/_service_event"
+
+PERFECT = SimParams(
+    lag_s=0.0,
+    actuation_linear_factor=1.0,
+    actuation_angular_factor=1.0,
+    actuation_noise=0.0,
+    odometry_linear_factor=1.0,
+    odometry_angular_factor=1.0,
+    odometry_noise=0.0,
+)
+"""A robot that does what it is told, and reports what it does."""
 
 _HEAD = struct.Struct("<4sBxxxiI16sxxxxq")
 _CLIENT = b"\x01" * 16

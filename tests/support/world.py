@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import select
 import signal
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from ament_index_python.packages import get_package_prefix
 
 from robotctl.base.domains import reserved_domain
 from robotctl.base.errors import UnreadableFile
+from robotctl.base.processes import pidfd_of, readable_within
 from robotctl.check.report import Report, Verdict
 from robotctl.check.run import check_recording
 from robotctl.cli import app
@@ -261,10 +261,11 @@ class World:
         for each in Path(f"/proc/{pid}/fd").iterdir():
             with suppress(OSError):  # closed meanwhile
                 own.add(os.readlink(each))
-        with suppress(ProcessLookupError), os.fdopen(os.pidfd_open(pid)) as process:
+        with suppress(ProcessLookupError), pidfd_of(pid) as process:
             os.kill(pid, number)
             # It is readable when all threads have ended, and with them their sockets.
-            assert select.select([process], [], [], DEADLINE_S)[0], "it has not ended"
+            assert process is not None
+            assert readable_within(process, DEADLINE_S), "it has not ended"
         for name in own:
             if re.fullmatch(rf"{SHARED_MEMORY}/fastrtps_[0-9a-f]+_el", name):  # locked by its owner
                 for path in SHARED_MEMORY.glob(f"{Path(name).name.removesuffix('_el')}*"):

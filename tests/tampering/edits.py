@@ -475,8 +475,7 @@ def appended(
 ) -> Contents:
     """Add messages after the last one of a topic, so many at least and at most.
 
-    They are numbered in steps of `step`, `first` for the first one; they follow the end of the
-    recording `after_s` later, and each other in `every_s`.
+    Numbers: `first`, then in steps of `step`. Times: `after_s` after the end, then each `every_s`.
     """
     last = [each for each in contents.messages if each.topic == topic][-1]
     end_ns = max(each.log_ns for each in contents.messages)
