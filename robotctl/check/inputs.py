@@ -109,7 +109,7 @@ class UnheardChange:
         self._is_begin = True
 
     def settle(self, stall_ns: int) -> None:
-        """Check messages up to the newest input; losses for UNHEARD_NS + `stall_ns` are allowed."""
+        """Check messages up to the newest input. A gap may last UNHEARD_NS + `stall_ns`."""
         newest = max(self._heard, default=0)
         while self._waiting and self._waiting[0].sequence <= newest:
             self._take(self._waiting.popleft(), stall_ns)
@@ -117,7 +117,7 @@ class UnheardChange:
             self._heard.clear()
 
     def end(self, log_ns: int, stall_ns: int) -> None:
-        """Check messages until the end `log_ns`; losses for UNHEARD_NS + `stall_ns` are allowed."""
+        """Check messages until the end `log_ns`. A gap may last UNHEARD_NS + `stall_ns`."""
         self.settle(stall_ns)
         for shown in self._waiting:
             if shown.log_ns <= log_ns:
