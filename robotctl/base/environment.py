@@ -45,7 +45,7 @@ def prepare(before_restart: Callable[[], object] = lambda: None) -> str:
         prefixes = _entries(os.environ, _PREFIXES)
         if sys.prefix not in prefixes:
             os.environ[_PREFIXES] = os.pathsep.join([*prefixes, sys.prefix])
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # numpy starts idle threads, 60 ms of CPU
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no idle threads of numpy: 60 ms of CPU
     limit_discovery()
     if not any(variable in os.environ for variable in _PROFILES):
         os.environ[_PROFILES[0]] = str(Path(__file__).parents[1] / "ros" / "fastdds.xml")

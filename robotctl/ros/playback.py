@@ -252,7 +252,7 @@ KNOWN_S: Final = 0.5
 ACKNOWLEDGE_S: Final = 7.0
 """How long to wait at the end for acknowledgements. A lost message takes 3 s or more."""
 
-REQUEST_S: Final = 0.2  # at the end, for the arrival of requests, which rclpy does not report
+REQUEST_S: Final = 0.2  # the wait at the end: rclpy does not report that a request has arrived
 
 # Few messages get lost while they fit into the shared memory of Fast DDS (512 kB).
 IN_FLIGHT: Final = 250
