@@ -158,7 +158,7 @@ def full_name(endpoint: Endpoint) -> str:
 
 
 def shown_name(endpoint: Endpoint) -> str:
-    """Return the full name of an endpoint's node for a sentence, cut to MAX_NAME characters."""
+    """Return the full name of an endpoint's node, shortened, or a phrase if it is unknown."""
     return short_name(full_name(endpoint)) or "a node whose name is not known yet"
 
 
